@@ -12,7 +12,10 @@ from setuptools import setup
 HERE = Path(__file__).resolve().parent
 SHARED = sorted(
     path.relative_to(HERE)
-    for path in [*(HERE / "config").glob("*"), *(HERE / "camera_server" / "src").rglob("*.py")]
+    for path in [
+        *(HERE / "config").glob("*"),
+        *(HERE / "camera_server" / "src").rglob("*.py"),
+    ]
     if path.is_file()
 )
 """Files that are found at run time: configurations, and the camera program that the virtual rig starts."""

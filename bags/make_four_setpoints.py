@@ -29,7 +29,9 @@ def four_setpoints() -> Window:
     """The simulated run, 1 Hz."""
     reference = np.repeat(np.array(SET_POINTS, dtype=float), HOLD)
     sensor = Peltier.sensor.realise(len(reference), 1.0, seed=30507090)
-    run = simulate_closed_loop(RICH_RIG, reference, states=begin(RICH_RIG, 22.0), sensor=sensor)
+    run = simulate_closed_loop(
+        RICH_RIG, reference, states=begin(RICH_RIG, 22.0), sensor=sensor
+    )
     return Window(reference, run.output, run.input)
 
 

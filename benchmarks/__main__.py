@@ -18,16 +18,28 @@ from benchmarks.common import Row, document, environment, print_rows
 def main() -> int:
     """0: all ran; 1: at least one failed; 2: an unknown name. A missed target is not a failure."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help="benchmarks to run (default: all)")
-    parser.add_argument("--quick", action="store_true", help="small cases and few rounds: does it run?")
-    parser.add_argument("--json", type=Path, metavar="OUT", help="write environment and rows to this file")
-    parser.add_argument("--list", action="store_true", help="name the benchmarks and stop")
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help="benchmarks to run (default: all)"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="small cases and few rounds: does it run?"
+    )
+    parser.add_argument(
+        "--json",
+        type=Path,
+        metavar="OUT",
+        help="write environment and rows to this file",
+    )
+    parser.add_argument(
+        "--list", action="store_true", help="name the benchmarks and stop"
+    )
     options = parser.parse_args()
     names = available()
     unknown = sorted(set(options.names) - set(names))
     if unknown:
         print(
-            f"benchmarks: there is no {', '.join(unknown)}; choose from: {', '.join(names)}", file=sys.stderr
+            f"benchmarks: there is no {', '.join(unknown)}; choose from: {', '.join(names)}",
+            file=sys.stderr,
         )
         return 2
     if options.list:
@@ -54,7 +66,8 @@ def main() -> int:
         rows += found
     if options.json is not None:
         options.json.write_text(
-            json.dumps(document(rows), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+            json.dumps(document(rows), indent=1, allow_nan=False, ensure_ascii=False)
+            + "\n"
         )
     if broken:
         print(f"benchmarks: failed: {', '.join(broken)}", file=sys.stderr)
@@ -64,8 +77,14 @@ def main() -> int:
 def available() -> list[str]:
     """Modules here whose source defines `run`."""
     here = Path(benchmarks.__file__).parent
-    names = [module.name for module in pkgutil.iter_modules([str(here)]) if not module.ispkg]
-    return [name for name in sorted(names) if "\ndef run(" in (here / f"{name}.py").read_text()]
+    names = [
+        module.name for module in pkgutil.iter_modules([str(here)]) if not module.ispkg
+    ]
+    return [
+        name
+        for name in sorted(names)
+        if "\ndef run(" in (here / f"{name}.py").read_text()
+    ]
 
 
 def _load(name: str) -> ModuleType:

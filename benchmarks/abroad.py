@@ -87,11 +87,15 @@ class Watcher:
         if alone:
             settings = HealthSettings.of(kind.plant, kind.period)
             self._monitor: Monitor | ChannelMonitor = Monitor(settings)
-            refusals = Refusals(settings, ScheduleSettings.of(kind.plant, kind.period).gap)
+            refusals = Refusals(
+                settings, ScheduleSettings.of(kind.plant, kind.period).gap
+            )
             self._twin = None
             self._settle = refusals.settle
         else:
-            self._twin = Twin(TwinSettings.of(kind.plant, period=kind.period, law=plant.gains))
+            self._twin = Twin(
+                TwinSettings.of(kind.plant, period=kind.period, law=plant.gains)
+            )
             self._monitor = self._twin.discriminator.monitor
 
     def take(self, samples: Iterable[Sample]) -> Watched:
@@ -101,7 +105,9 @@ class Watcher:
             try:
                 self._push(sample)
             except Exception as error:  # what ends one run is counted
-                self.told.broke = f"sample {sample.index}: {type(error).__name__}: {error}"
+                self.told.broke = (
+                    f"sample {sample.index}: {type(error).__name__}: {error}"
+                )
                 break
         self.told.took += time.perf_counter() - began
         return self.told
@@ -151,7 +157,9 @@ class Order(NamedTuple):
         """When it happens, in samples; the same for all mishaps of a plant."""
         start = STARTS + int(np.random.default_rng(self.seed).integers(0, 300))
         share = self.samples_per_second
-        return Mishap(mishap, round(start * share), round(start * share) + round(LASTS * share))
+        return Mishap(
+            mishap, round(start * share), round(start * share) + round(LASTS * share)
+        )
 
 
 def _lines(told: Watched, kind: str) -> Iterator[str]:
@@ -176,9 +184,14 @@ def _row(name: str, found: Sequence[tuple[Order, Watched]]) -> str:
     hours = sum(order.hours for order, _ in found)
     samples = sum(len(w.trusted) for w in watched)
     names = Counter(a.fault.value for w in watched for a in w.alarms)
-    alarms = ", ".join(f"{100 * n / hours:.0f} {fault}" for fault, n in names.most_common()) or "none"
+    alarms = (
+        ", ".join(f"{100 * n / hours:.0f} {fault}" for fault, n in names.most_common())
+        or "none"
+    )
     verdicts = sum(w.verdicts for w in watched)
-    trusting = f"{sum(w.trusting for w in watched) / verdicts:5.0%}" if verdicts else "    –"
+    trusting = (
+        f"{sum(w.trusting for w in watched) / verdicts:5.0%}" if verdicts else "    –"
+    )
     return (
         f"{name:10s} {hours:6.1f} {samples / 3600:6.1f} | {100 * sum(names.values()) / hours:5.0f} "
         f"{sum(bool(w.alarms) for w in watched):3d}/{len(found):<3d} "
@@ -187,26 +200,40 @@ def _row(name: str, found: Sequence[tuple[Order, Watched]]) -> str:
     )
 
 
-def healthy(kinds: Sequence[str], plants: int, hours: float, options: argparse.Namespace) -> None:
+def healthy(
+    kinds: Sequence[str], plants: int, hours: float, options: argparse.Namespace
+) -> None:
     """Plants to which nothing happens."""
-    orders = [Order(k, seed, hours, (), options.monitor) for k in kinds for seed in _seeds(plants, options)]
+    orders = [
+        Order(k, seed, hours, (), options.monitor)
+        for k in kinds
+        for seed in _seeds(plants, options)
+    ]
     print(
         "kind        hours, of 3600 samples | alarms in 100 h, plants with one, time in alarm, verdicts "
         "trusted, took | in 100 h by name"
     )
     found = [(order, told) for order, [told] in _each(_healthy, orders, options)]
     for name in kinds:
-        print(_row(name, [(order, told) for order, told in found if order.kind == name]), flush=True)
+        print(
+            _row(name, [(order, told) for order, told in found if order.kind == name]),
+            flush=True,
+        )
     print(_row("all", found), flush=True)
     _print_broken(found)
     stood = Counter(standing for _, w in found for standing in w.standing)
     print(
-        "alarms by what was known of the twin:", ", ".join(f"{n} {word}" for word, n in stood.most_common())
+        "alarms by what was known of the twin:",
+        ", ".join(f"{n} {word}" for word, n in stood.most_common()),
     )
     lacks = Counter(lack for _, w in found for lack in w.lacks)
     blamed = Counter(lack for _, w in found for lack in w.lacks for _ in w.alarms)
     print("alarms a plant, by what its file lacks: ", end="")
-    print(", ".join(f"{lack} {blamed[lack] / n:.1f} ({n})" for lack, n in lacks.most_common()))
+    print(
+        ", ".join(
+            f"{lack} {blamed[lack] / n:.1f} ({n})" for lack, n in lacks.most_common()
+        )
+    )
 
 
 def _seeds(plants: int, options: argparse.Namespace) -> range:
@@ -216,7 +243,11 @@ def _seeds(plants: int, options: argparse.Namespace) -> range:
 def _faulty(order: Order) -> list[Watched]:
     """One plant in two has something that its file lacks. Until something happens, all runs are the same."""
     plant = AbroadPlant(
-        KINDS[order.kind], order.seed, None if order.seed % 2 else (), (150.0, 400.0), closed=True
+        KINDS[order.kind],
+        order.seed,
+        None if order.seed % 2 else (),
+        (150.0, 400.0),
+        closed=True,
     )
     watcher = Watcher(plant, alone=order.alone)
     when = order.onset("nothing")
@@ -224,7 +255,11 @@ def _faulty(order: Order) -> list[Watched]:
     watcher.take(islice(samples, when.start))
 
     def on(sender: Connection, mishap: str) -> None:
-        watcher.told.mishap, watcher.told.took, plant.mishap = mishap, 0.0, order.onset(mishap)
+        watcher.told.mishap, watcher.told.took, plant.mishap = (
+            mishap,
+            0.0,
+            order.onset(mishap),
+        )
         sender.send(watcher.take(samples))
 
     found = list[Watched]()
@@ -254,7 +289,9 @@ def _case(mishap: str, found: Sequence[tuple[Order, Watched]]) -> str:
         when = order.onset(mishap)
         seconds = 1.0 / order.samples_per_second
         during = [a for a in told.alarms if when.start <= a.flagged < when.stop]
-        first = next((a for a in during if a.fault.value != VAGUE), during[0] if during else None)
+        first = next(
+            (a for a in during if a.fault.value != VAGUE), during[0] if during else None
+        )
         names[first.fault.value if first else "nothing"] += 1
         if first and first.fault.value == right:
             delays.append((first.flagged - when.start) * seconds)
@@ -265,12 +302,16 @@ def _case(mishap: str, found: Sequence[tuple[Order, Watched]]) -> str:
             if a.flagged < when.stop and a.last is not None and a.last > when.stop
         ]
         before += sum(a.flagged < when.start for a in told.alarms)
-        later += sum(a.flagged >= when.stop and a.fault.value != right for a in told.alarms)
+        later += sum(
+            a.flagged >= when.stop and a.fault.value != right for a in told.alarms
+        )
         part = told.trusted[when.start + round(BLINK / seconds) : when.stop]
         blind = blind + sum(part)
         seen = seen + len(part)
     none = names["nothing"] + names[VAGUE]
-    spread = f"{np.median(delays):6.0f} {max(delays):5.0f}" if delays else "     –     –"
+    spread = (
+        f"{np.median(delays):6.0f} {max(delays):5.0f}" if delays else "     –     –"
+    )
     words = ", ".join(f"{n} {name}" for name, n in names.most_common())
     over = f"{max(held):4.0f}" if held else "   –"
     return (
@@ -283,12 +324,24 @@ def faults(kinds: Sequence[str], plants: int, options: argparse.Namespace) -> No
     """Plants to which something happens, in the loop."""
     chosen = tuple(options.only or MISHAPS)
     for name in kinds:
-        orders = [Order(name, seed, 0.0, chosen, options.monitor) for seed in _seeds(plants, options)]
-        found = [(order, told) for order, each in _each(_faulty, orders, options) for told in each]
+        orders = [
+            Order(name, seed, 0.0, chosen, options.monitor)
+            for seed in _seeds(plants, options)
+        ]
+        found = [
+            (order, told)
+            for order, each in _each(_faulty, orders, options)
+            for told in each
+        ]
         print(f"\n{name}: {plants} plants each; times in seconds of the kind")
-        print("mishap        right wrong none other | median worst | trusted | held | before after | first")
+        print(
+            "mishap        right wrong none other | median worst | trusted | held | before after | first"
+        )
         for mishap in chosen:
-            print(_case(mishap, [(o, w) for o, w in found if w.mishap == mishap]), flush=True)
+            print(
+                _case(mishap, [(o, w) for o, w in found if w.mishap == mishap]),
+                flush=True,
+            )
         _print_broken(found)
 
 
@@ -300,10 +353,16 @@ def _print_broken(found: Sequence[tuple[Order, Watched]]) -> None:
 
 
 def _each(
-    call: Callable[[Order], list[Watched]], orders: Sequence[Order], options: argparse.Namespace
+    call: Callable[[Order], list[Watched]],
+    orders: Sequence[Order],
+    options: argparse.Namespace,
 ) -> Iterator[tuple[Order, list[Watched]]]:
     """Orders in sequence with their results; progress goes to standard error."""
-    pool = ProcessPoolExecutor(options.jobs, get_context("spawn")) if options.jobs > 1 else None
+    pool = (
+        ProcessPoolExecutor(options.jobs, get_context("spawn"))
+        if options.jobs > 1
+        else None
+    )
     with pool or nullcontext():
         results = map(call, orders) if pool is None else pool.map(call, orders)
         for done, (order, found) in enumerate(zip(orders, results, strict=True), 1):
@@ -321,13 +380,23 @@ def _each(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.abroad", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.abroad", description=__doc__
+    )
     parser.add_argument("what", choices=["healthy", "faults"])
     parser.add_argument("plants", type=int)
     parser.add_argument("hours", type=float, nargs="?", default=1.0)
-    parser.add_argument("--kind", choices=list(KINDS), action="append", help="default: all")
-    parser.add_argument("--only", choices=MISHAPS, action="append", help="mishaps; default: all")
-    parser.add_argument("--monitor", action="store_true", help="the health monitor alone, without a twin")
+    parser.add_argument(
+        "--kind", choices=list(KINDS), action="append", help="default: all"
+    )
+    parser.add_argument(
+        "--only", choices=MISHAPS, action="append", help="mishaps; default: all"
+    )
+    parser.add_argument(
+        "--monitor",
+        action="store_true",
+        help="the health monitor alone, without a twin",
+    )
     parser.add_argument("--seed", type=int, default=0, help="that of the first plant")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--verbose", action="store_true", help="a line for each alarm")

@@ -17,14 +17,23 @@ from statistics import median
 import numpy as np
 
 from benchmarks.experiment import Bench, taught
-from twinmatch.controllers import ControllerDecision, ControllerQuestion, TriedTwin, try_controller, try_now
+from twinmatch.controllers import (
+    ControllerDecision,
+    ControllerQuestion,
+    TriedTwin,
+    try_controller,
+    try_now,
+)
 from twinmatch.dynamics import PidGains, law_of, pids_of
 from twinmatch.plants import Peltier, TCLab
 from twinmatch.safety import LawTrial, TrialBands, TrialPhase
 
 PATIENCE = {"peltier": 10, "tclab": 10}
 """Samples outside, less those inside since."""
-TRUE = {"peltier": "sink with mass, free ambient", "tclab": "sensor lag, radiation, neighbour"}
+TRUE = {
+    "peltier": "sink with mass, free ambient",
+    "tclab": "sensor lag, radiation, neighbour",
+}
 AFTER = 900
 """Samples that a law may drive."""
 
@@ -34,7 +43,10 @@ def gains_of(bench: Bench, rng: np.random.Generator) -> PidGains:
     [own] = pids_of(law_of(bench.plant, 1.0))
     far = math.exp(rng.uniform(-0.7, 6.5))
     names = ("proportional", "integral", "derivative")
-    return replace(own, **{n: getattr(own, n) * far * math.exp(rng.uniform(-0.3, 0.3)) for n in names})
+    return replace(
+        own,
+        **{n: getattr(own, n) * far * math.exp(rng.uniform(-0.3, 0.3)) for n in names},
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -50,7 +62,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     bumps = []
     for k in range(options.number):
         if k % 6 < 2:
-            lessons = [taught(p, TRUE[p.name], options.seed + k) for p in (Peltier, TCLab)]
+            lessons = [
+                taught(p, TRUE[p.name], options.seed + k) for p in (Peltier, TCLab)
+            ]
         bench, members, terms = lessons[k % 2]
         plant = bench.plant
         bench = copy.deepcopy(bench)
@@ -59,7 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         level = np.tile(terms.before, (240, 1))
         truth = TriedTwin("truth", bench.truth)
         really = try_controller(
-            [truth], ControllerQuestion(gains, level, terms.before, terms.holding, draws=1)
+            [truth],
+            ControllerQuestion(gains, level, terms.before, terms.holding, draws=1),
         )
         found = try_now(members, gains, terms.holding, terms.before)
         trial = LawTrial(TrialBands(found.low, found.high, 0, PATIENCE[plant.name]))

@@ -76,7 +76,10 @@ def _pairs(samples: Sequence[Sample]) -> list[tuple[str, FloatArray, FloatArray]
     """Set-point to temperature and, one tick early, to control, as deviations from the start."""
     r, y, u = np.array([(s.reference, s.output, s.input) for s in samples]).T
     ahead = np.append(r[1:], r[-1]) - r[0]
-    return [(f"r → y, N = {r.size}", r - r[0], y - r[0]), (f"r → u, N = {r.size}", ahead, u - u[0])]
+    return [
+        (f"r → y, N = {r.size}", r - r[0], y - r[0]),
+        (f"r → u, N = {r.size}", ahead, u - u[0]),
+    ]
 
 
 def _single(name: str, u: FloatArray, y: FloatArray, quick: bool) -> list[Row]:
@@ -87,8 +90,14 @@ def _single(name: str, u: FloatArray, y: FloatArray, quick: bool) -> list[Row]:
             NO_HOPS: lambda o=order: estimate(u, y, o, hops=0),
         }
         timings = measure_side_by_side(cases, 3 if quick else 9)
-        notes = {name: f"V {timing.result.variance:.4g}" for name, timing in timings.items()}
-        targets = {"twinmatch": MODEL_TARGETS.get(u.size, math.nan)} if u.size in MODEL_TARGETS else {}
+        notes = {
+            name: f"V {timing.result.variance:.4g}" for name, timing in timings.items()
+        }
+        targets = (
+            {"twinmatch": MODEL_TARGETS.get(u.size, math.nan)}
+            if u.size in MODEL_TARGETS
+            else {}
+        )
         case = f"one model {order}, {name}"
         rows += rows_of(NAME, case, timings, targets=targets, notes=notes)
     return rows
@@ -103,14 +112,25 @@ def _ladder(name: str, u: FloatArray, y: FloatArray, quick: bool) -> list[Row]:
     for peer, program in programs.items():
         cases[peer] = partial(_peer_ladder, program, u, y)
     timings = measure_side_by_side(cases, 3 if quick else 5, patience=2.0)
-    notes = {peer: _note(t.result) for peer, t in timings.items() if isinstance(t.result, Ladder)}
+    notes = {
+        peer: _note(t.result)
+        for peer, t in timings.items()
+        if isinstance(t.result, Ladder)
+    }
     case = f"ladder, {name}"
-    rows = rows_of(NAME, case, timings, targets={"sippy_unipi": SIPPY_TARGET}, notes=notes)
-    return rows + [Row(NAME, case, peer, math.nan, note="not installed") for peer in missing()]
+    rows = rows_of(
+        NAME, case, timings, targets={"sippy_unipi": SIPPY_TARGET}, notes=notes
+    )
+    return rows + [
+        Row(NAME, case, peer, math.nan, note="not installed") for peer in missing()
+    ]
 
 
 def _own_ladder(u: FloatArray, y: FloatArray, hops: int | None = None) -> Ladder:
-    losses = {order: model.variance for order, model in estimate_ladder(u, y, hops=hops).items()}
+    losses = {
+        order: model.variance
+        for order, model in estimate_ladder(u, y, hops=hops).items()
+    }
     return Ladder(losses, losses, False)
 
 
@@ -129,7 +149,9 @@ def _peer_ladder(
             losses[order] = best[order] = math.inf
             continue
         losses[order] = fit.loss
-        best[order] = math.nan if fit.model is None else _with_best_start(fit.model, u, y)
+        best[order] = (
+            math.nan if fit.model is None else _with_best_start(fit.model, u, y)
+        )
     return Ladder(losses, best, False)
 
 
@@ -141,19 +163,29 @@ def _with_best_start(model: BoxJenkins, u: FloatArray, y: FloatArray) -> float:
 
 def _note(ladder: Ladder) -> str:
     text = "V " + " ".join(f"{loss:.4g}" for loss in ladder.losses.values())
-    if ladder.best is not ladder.losses and not all(math.isnan(v) for v in ladder.best.values()):
-        text += "; best start " + " ".join(f"{loss:.4g}" for loss in ladder.best.values())
+    if ladder.best is not ladder.losses and not all(
+        math.isnan(v) for v in ladder.best.values()
+    ):
+        text += "; best start " + " ".join(
+            f"{loss:.4g}" for loss in ladder.best.values()
+        )
     return text + ("; stopped by the limit" if ladder.stopped else "")
 
 
 def _growth(samples: Sequence[Sample], quick: bool) -> list[Row]:
     counts = [n for n in GROWTH if n <= len(samples)]
     pairs = {n: _pairs(samples[:n])[0] for n in counts}
-    cases = {f"N = {n}": lambda p=p: estimate(p[1], p[2], "33331") for n, p in pairs.items()}
+    cases = {
+        f"N = {n}": lambda p=p: estimate(p[1], p[2], "33331") for n, p in pairs.items()
+    }
     timings = measure_side_by_side(cases, 2 if quick else 5)
     per_sample = {f"N = {n}": timings[f"N = {n}"].median / n for n in counts}
-    notes = {case: f"{value * 1e6:.3g} µs a sample" for case, value in per_sample.items()}
-    return rows_of(NAME, "growth, one model 33331", timings, own=f"N = {counts[0]}", notes=notes)
+    notes = {
+        case: f"{value * 1e6:.3g} µs a sample" for case, value in per_sample.items()
+    }
+    return rows_of(
+        NAME, "growth, one model 33331", timings, own=f"N = {counts[0]}", notes=notes
+    )
 
 
 def _truth(quick: bool) -> list[Row]:
@@ -163,7 +195,9 @@ def _truth(quick: bool) -> list[Row]:
     rows = []
     for kind in ("white noise", "coloured noise", "closed loop"):
         for count in (300,) if quick else (300, 1000, 10000):
-            taking = {n: p for n, p in programs.items() if count <= MAX_COUNT.get(n, count)}
+            taking = {
+                n: p for n, p in programs.items() if count <= MAX_COUNT.get(n, count)
+            }
             seeds = range(3 if quick or count > 1000 else 5)
             for name, program in taking.items():
                 begin = time.perf_counter()
@@ -171,12 +205,23 @@ def _truth(quick: bool) -> list[Row]:
                 seconds = (time.perf_counter() - begin) / len(errors)
                 note = f"error of B/F {100.0 * float(np.median(errors)):.3g} %"
                 rows.append(
-                    Row(NAME, f"truth, {kind}, N = {count}", name, seconds, None, len(errors), None, note)
+                    Row(
+                        NAME,
+                        f"truth, {kind}, N = {count}",
+                        name,
+                        seconds,
+                        None,
+                        len(errors),
+                        None,
+                        note,
+                    )
                 )
     return rows
 
 
-def _error(program: Callable[[FloatArray, FloatArray, str], Fit], u: FloatArray, y: FloatArray) -> float:
+def _error(
+    program: Callable[[FloatArray, FloatArray, str], Fit], u: FloatArray, y: FloatArray
+) -> float:
     try:
         model = program(u, y, "22221").model
     except Exception:
@@ -211,9 +256,18 @@ def _data(kind: str, count: int, seed: int) -> tuple[FloatArray, FloatArray]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small cases, no peers: does it run?")
-    parser.add_argument("--recording", type=Path, metavar="FILE", help="your own session or recording")
-    parser.add_argument("--json", type=Path, metavar="OUT", help="write environment and rows to this file")
+    parser.add_argument(
+        "--quick", action="store_true", help="small cases, no peers: does it run?"
+    )
+    parser.add_argument(
+        "--recording", type=Path, metavar="FILE", help="your own session or recording"
+    )
+    parser.add_argument(
+        "--json",
+        type=Path,
+        metavar="OUT",
+        help="write environment and rows to this file",
+    )
     options = parser.parse_args()
     if options.recording is None:
         rows = run(options.quick)

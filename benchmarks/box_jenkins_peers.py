@@ -53,7 +53,9 @@ def peers() -> dict[str, Program]:
     """The installed peers by name. SIPPY is LGPL: used here for comparison, never imported by the package."""
     programs = (_sippy, _toolbox, _pysid, _statsmodels)
     known = zip(MODULES.items(), programs, strict=True)
-    return {name: program for (name, module), program in known if peer(module) is not None}
+    return {
+        name: program for (name, module), program in known if peer(module) is not None
+    }
 
 
 def missing() -> list[str]:
@@ -61,7 +63,15 @@ def missing() -> list[str]:
     return [name for name, module in MODULES.items() if peer(module) is None]
 
 
-def _fit(B: FloatArray, C: FloatArray, D: FloatArray, F: FloatArray, *, u: FloatArray, y: FloatArray) -> Fit:
+def _fit(
+    B: FloatArray,
+    C: FloatArray,
+    D: FloatArray,
+    F: FloatArray,
+    *,
+    u: FloatArray,
+    y: FloatArray,
+) -> Fit:
     """The coefficients as a model, and its loss from rest, which these programs assume."""
     delay = int(np.argmax(B != 0.0))
     order = Order(B.size - delay, C.size - 1, D.size - 1, F.size - 1, delay)
@@ -77,7 +87,9 @@ def _sippy(u: FloatArray, y: FloatArray, order: str) -> Fit:
 
     nb, nc, nd, nf, nk = parse_order(order)
     with contextlib.redirect_stdout(io.StringIO()):
-        found = system_identification(y, u, "BJ", BJ_orders=[nb, nc, nd, nf, nk - 1], max_iterations=300)
+        found = system_identification(
+            y, u, "BJ", BJ_orders=[nb, nc, nd, nf, nk - 1], max_iterations=300
+        )
     G = found.G
     H = found.H
     B, F = _delay_form(G)
@@ -90,7 +102,9 @@ def _delay_form(system: control.TransferFunction) -> tuple[FloatArray, FloatArra
     numerator = np.trim_zeros(np.asarray(system.num[0][0], dtype=np.float64), "f")
     denominator = np.trim_zeros(np.asarray(system.den[0][0], dtype=np.float64), "f")
     lead = np.zeros(max(denominator.size - numerator.size, 0))
-    return np.concatenate((lead, numerator)) / denominator[0], denominator / denominator[0]
+    return np.concatenate((lead, numerator)) / denominator[
+        0
+    ], denominator / denominator[0]
 
 
 def _toolbox(u: FloatArray, y: FloatArray, order: str) -> Fit:
@@ -100,7 +114,9 @@ def _toolbox(u: FloatArray, y: FloatArray, order: str) -> Fit:
     nb, nc, nd, nf, nk = parse_order(order)
     np.random.seed(1)
     with contextlib.redirect_stdout(io.StringIO()):
-        program = pmodel("bjtf", nb=[nb - 1], nf=[nf], nc=[nc], nd=[nd], delay=[nk], diff=[0], per=[])
+        program = pmodel(
+            "bjtf", nb=[nb - 1], nf=[nf], nc=[nc], nd=[nd], delay=[nk], diff=[0], per=[]
+        )
         program.estimParams.epochs = 100
         program, *_ = estimate(program, y, u, show_plot=False, show_output=False)
     parts = [
@@ -108,7 +124,12 @@ def _toolbox(u: FloatArray, y: FloatArray, order: str) -> Fit:
         for part in (program.b, program.c, program.d, program.f)
     ]
     B = np.concatenate((np.zeros(nk), parts[0]))
-    return _fit(B, *(_monic(part, n) for part, n in zip(parts[1:], (nc, nd, nf), strict=True)), u=u, y=y)
+    return _fit(
+        B,
+        *(_monic(part, n) for part, n in zip(parts[1:], (nc, nd, nf), strict=True)),
+        u=u,
+        y=y,
+    )
 
 
 def _pysid(u: FloatArray, y: FloatArray, order: str) -> Fit:
@@ -127,7 +148,10 @@ def _pysid(u: FloatArray, y: FloatArray, order: str) -> Fit:
 
 
 def _polynomial(value: object) -> FloatArray:
-    while isinstance(value, (list, np.ndarray)) and np.asarray(value, dtype=object).ndim > 0:
+    while (
+        isinstance(value, (list, np.ndarray))
+        and np.asarray(value, dtype=object).ndim > 0
+    ):
         flat = np.asarray(value, dtype=object).ravel()
         if all(np.ndim(v) == 0 for v in flat):
             return np.asarray(flat, dtype=np.float64)
@@ -147,9 +171,14 @@ def _statsmodels(u: FloatArray, y: FloatArray, order: str) -> Fit:
 
     _, nc, nd, _, nk = parse_order(order)
     delayed = np.column_stack(
-        [np.concatenate((np.zeros(k), u[: u.size - k])) for k in range(nk, nk + DELAYED)]
+        [
+            np.concatenate((np.zeros(k), u[: u.size - k]))
+            for k in range(nk, nk + DELAYED)
+        ]
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = sm.tsa.SARIMAX(y, exog=delayed, order=(nd, 0, nc)).fit(disp=False, maxiter=50)
+        found = sm.tsa.SARIMAX(y, exog=delayed, order=(nd, 0, nc)).fit(
+            disp=False, maxiter=50
+        )
     return Fit(float(np.mean(np.asarray(found.resid) ** 2)), None)

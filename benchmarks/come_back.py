@@ -45,12 +45,16 @@ class Graph:
         self.newest = {"twin/state": -1, "twin/forecast": -1}
         """The newest sample of which there was a message, by topic."""
         node.create_subscription(TwinState, "twin/state", self._on_state, EVERYTHING)
-        node.create_subscription(Forecast, "twin/forecast", self._on_forecast, EVERYTHING)
+        node.create_subscription(
+            Forecast, "twin/forecast", self._on_forecast, EVERYTHING
+        )
         self._processes: list[subprocess.Popen[bytes]] = []
         self.twin = self._start("twin")
         readers = "readers:=twin_simulator discriminator keeper"
         words = [f"session:={session}", f"rate:={FAST}", readers, "wait_timeout:=120.0"]
-        self._start("player", "--ros-args", *(part for word in words for part in ("-p", word)))
+        self._start(
+            "player", "--ros-args", *(part for word in words for part in ("-p", word))
+        )
         self._rate = node.create_client(SetParameters, "player/set_parameters")
 
     def _start(self, name: str, *words: str) -> subprocess.Popen[bytes]:
@@ -66,7 +70,9 @@ class Graph:
     @property
     def processor_time(self) -> float:
         """Of the twin's process, s."""
-        words = Path(f"/proc/{self.twin.pid}/stat").read_text().rpartition(")")[2].split()
+        words = (
+            Path(f"/proc/{self.twin.pid}/stat").read_text().rpartition(")")[2].split()
+        )
         return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
     def set_rate(self, rate: float) -> None:
@@ -121,7 +127,11 @@ def run(quick: bool) -> list[Row]:
         with _graph(session) as graph:
             graph.until(lambda: graph.newest["twin/state"] >= count)
             graph.set_rate(1.0)
-            graph.until(lambda: graph.newest["twin/forecast"] >= graph.newest["twin/state"] > count)
+            graph.until(
+                lambda: (
+                    graph.newest["twin/forecast"] >= graph.newest["twin/state"] > count
+                )
+            )
             for _ in range(repeats):
                 known = dict(graph.newest)
                 begin = time.monotonic()

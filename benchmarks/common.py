@@ -84,7 +84,11 @@ class Row:
         """Whether the target was met; None without one."""
         if self.target is None:
             return None
-        return self.seconds <= self.target if self.ratio is None else self.ratio >= self.target
+        return (
+            self.seconds <= self.target
+            if self.ratio is None
+            else self.ratio >= self.target
+        )
 
 
 @dataclass(frozen=True)
@@ -152,10 +156,15 @@ def measure_side_by_side(
                 took = _attempt(cases[name], number, forget).median
                 times[name].append(took)
                 spent[name] += took * number
-    return {name: Timing(tuple(times[name]), first[name].result, first[name].error) for name in cases}
+    return {
+        name: Timing(tuple(times[name]), first[name].result, first[name].error)
+        for name in cases
+    }
 
 
-def _attempt(call: Callable[[], object], loops: int, forget: Callable[[], None] | None) -> Timing:
+def _attempt(
+    call: Callable[[], object], loops: int, forget: Callable[[], None] | None
+) -> Timing:
     gc.collect()
     gc.disable()
     took = 0.0
@@ -170,7 +179,9 @@ def _attempt(call: Callable[[], object], loops: int, forget: Callable[[], None] 
             took += time.perf_counter() - begin
         return Timing((took / loops,), result)
     except Exception as error:
-        return Timing((), error=f"{type(error).__name__}: {error}".splitlines()[0][:120])
+        return Timing(
+            (), error=f"{type(error).__name__}: {error}".splitlines()[0][:120]
+        )
     finally:
         gc.enable()
 
@@ -179,7 +190,10 @@ def forget_results() -> None:
     """Empty the bounded caches of twinmatch: results that it keeps while a run continues."""
     for name in [name for name in sys.modules if name.startswith("twinmatch.")]:
         for value in list(vars(sys.modules[name]).values()):
-            if isinstance(value, _Cached) and value.cache_parameters()["maxsize"] is not None:
+            if (
+                isinstance(value, _Cached)
+                and value.cache_parameters()["maxsize"] is not None
+            ):
                 value.cache_clear()
 
 
@@ -224,7 +238,10 @@ def environment() -> dict[str, str]:
     info = Path("/proc/cpuinfo")
     if info.exists():
         lines = (line.partition(":") for line in info.read_text().splitlines())
-        model = next((value.strip() for key, _, value in lines if key.strip() == "model name"), model)
+        model = next(
+            (value.strip() for key, _, value in lines if key.strip() == "model name"),
+            model,
+        )
     found = {
         "processor": f"{model}, {os.cpu_count()} cores, one BLAS thread",
         "load": " ".join(f"{load:.1f}" for load in os.getloadavg()),
@@ -241,8 +258,15 @@ def environment() -> dict[str, str]:
 def print_rows(title: str, rows: Sequence[Row]) -> None:
     """Print a benchmark's rows as a table."""
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for column, side in (("case", "left"), ("program", "left"), ("median", "right"), ("ratio", "right")):
-        table.add_column(column, justify="right" if side == "right" else "left", no_wrap=True)
+    for column, side in (
+        ("case", "left"),
+        ("program", "left"),
+        ("median", "right"),
+        ("ratio", "right"),
+    ):
+        table.add_column(
+            column, justify="right" if side == "right" else "left", no_wrap=True
+        )
     table.add_column("runs", justify="right")
     table.add_column("target", no_wrap=True)
     table.add_column("note", overflow="fold")
@@ -252,7 +276,13 @@ def print_rows(title: str, rows: Sequence[Row]) -> None:
         shown = row.case
         ratio = "" if row.ratio is None else f"{row.ratio:.3g} ×"
         table.add_row(
-            case, row.program, duration(row.seconds), ratio, str(row.repeats), _target(row), row.note
+            case,
+            row.program,
+            duration(row.seconds),
+            ratio,
+            str(row.repeats),
+            _target(row),
+            row.note,
         )
     Console(width=160, highlight=False, markup=False).print(table)
 
@@ -285,7 +315,9 @@ def main(run: Callable[[bool], list[Row]], title: str | None) -> None:
     """The command line of a single benchmark: `python -m benchmarks.nu_gap [--quick]`."""
     heading = (title or "").strip().splitlines()[0]
     parser = argparse.ArgumentParser(description=heading)
-    parser.add_argument("--quick", action="store_true", help="small cases and few rounds: does it run?")
+    parser.add_argument(
+        "--quick", action="store_true", help="small cases and few rounds: does it run?"
+    )
     options = parser.parse_args()
     print(", ".join(f"{name} {value}" for name, value in environment().items()))
     print_rows(heading, run(options.quick))

@@ -43,13 +43,21 @@ class Case:
 
 def run(quick: bool) -> list[Row]:
     length = 320 if quick else 3600
-    cases = [*_by_samples(quick), *_by_signals(length), *_by_rate(length), *_by_candidates(length)]
+    cases = [
+        *_by_samples(quick),
+        *_by_signals(length),
+        *_by_rate(length),
+        *_by_candidates(length),
+    ]
     return _measured(cases, 1 if quick else 3)
 
 
 def _by_samples(quick: bool) -> list[Case]:
     lengths = (160, 320) if quick else SAMPLES
-    return [Case(f"{length} samples", recorded(length), TwinSettings()) for length in lengths]
+    return [
+        Case(f"{length} samples", recorded(length), TwinSettings())
+        for length in lengths
+    ]
 
 
 def _by_signals(length: int) -> list[Case]:
@@ -58,7 +66,9 @@ def _by_signals(length: int) -> list[Case]:
     levels = _levels(length, 30.0, 50.0)
     return [
         _simulated("kit, one loop", one_heater, levels[:, None], 1.0),
-        _simulated("kit, two loops", two_heaters, np.column_stack([levels, levels[::-1]]), 1.0),
+        _simulated(
+            "kit, two loops", two_heaters, np.column_stack([levels, levels[::-1]]), 1.0
+        ),
     ]
 
 
@@ -70,7 +80,9 @@ def _by_rate(length: int) -> list[Case]:
 def _by_candidates(length: int) -> list[Case]:
     samples = recorded(length)
     return [
-        Case(f"at most {count} candidates", samples, TwinSettings(most_candidates=count))
+        Case(
+            f"at most {count} candidates", samples, TwinSettings(most_candidates=count)
+        )
         for count in CANDIDATES
     ]
 
@@ -81,7 +93,9 @@ def _levels(length: int, low: float, high: float) -> FloatArray:
     return np.repeat(random_levels, REGIME)[:length]
 
 
-def _simulated(name: str, truth: Parameters, references: FloatArray, period: float) -> Case:
+def _simulated(
+    name: str, truth: Parameters, references: FloatArray, period: float
+) -> Case:
     """A recording of a plant under its own loop; references have shape (N, r)."""
     plant = truth.model.plant
     law = law_for(plant, period)

@@ -37,10 +37,22 @@ from twinmatch.sessions.recording import repair_session
 from twinmatch.sessions.scan import messages_of
 
 PATIENCE = 10.0
-COLUMNS = ("files", "refused", "plain", "ours", "fewer", "complete", "repaired", "tracebacks", "slow")
+COLUMNS = (
+    "files",
+    "refused",
+    "plain",
+    "ours",
+    "fewer",
+    "complete",
+    "repaired",
+    "tracebacks",
+    "slow",
+)
 
 
-def measure(sound: bytes, rng: random.Random, number: int, folder: Path) -> Counter[str]:
+def measure(
+    sound: bytes, rng: random.Random, number: int, folder: Path
+) -> Counter[str]:
     """What becomes of one damaged file."""
     content = broken(sound, rng, number)
     there = samples_in(sound)
@@ -68,7 +80,11 @@ def measure(sound: bytes, rng: random.Random, number: int, folder: Path) -> Coun
 
 def _read(session: Path) -> set[bytes]:
     """The samples of a session, as messages; reading it as a session finds as many."""
-    found = [m.data for m in messages_of(sorted(session.glob("*.mcap"))) if m.topic.name == SAMPLE.name]
+    found = [
+        m.data
+        for m in messages_of(sorted(session.glob("*.mcap")))
+        if m.topic.name == SAMPLE.name
+    ]
     if found:
         assert len(read_session(session).samples) == len(found)
     return set(found)
@@ -82,9 +98,13 @@ def _repair(session: Path, ours: set[bytes], *, strict: bool) -> Counter[str]:
     except SessionError:
         counts["repaired"] = bool(ours)
         return counts
-    if not strict and not any("damaged" in fault or "truncated" in fault for fault in repair.faults):
+    if not strict and not any(
+        "damaged" in fault or "truncated" in fault for fault in repair.faults
+    ):
         counts["complete"] = 1
-    counts["repaired"] = not _read(session) >= ours or bool(repair_session(session).faults)
+    counts["repaired"] = not _read(session) >= ours or bool(
+        repair_session(session).faults
+    )
     return counts
 
 
@@ -96,13 +116,20 @@ def main() -> None:
     options = parser.parse_args()
     rng = random.Random(options.seed)
     totals: dict[str, Counter[str]] = {}
-    kinds = (CompressionType.NONE, CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4)
+    kinds = (
+        CompressionType.NONE,
+        CompressionType.NONE,
+        CompressionType.ZSTD,
+        CompressionType.LZ4,
+    )
     sound = [whole_file(compression=kind) for kind in kinds]
     with tempfile.TemporaryDirectory() as base:
         for number in range(options.number):
             which = number // len(KINDS) % len(kinds)
             counts = measure(sound[which], rng, number, Path(base) / f"s{number}")
-            totals.setdefault(f"{kind_of(number)} {kinds[which].name.lower()}", Counter()).update(counts)
+            totals.setdefault(
+                f"{kind_of(number)} {kinds[which].name.lower()}", Counter()
+            ).update(counts)
     print(f"{'':24}", *(f"{name:>10}" for name in COLUMNS))
     totals["all"] = sum(totals.values(), Counter())
     for kind, counts in totals.items():

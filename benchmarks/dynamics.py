@@ -41,10 +41,14 @@ LEVELS = (30.0, 55.0, 42.0, 75.0, 60.0, 90.0, 50.0)
 
 def run(quick: bool) -> list[Row]:
     size = 600 if quick else 3600
-    reference = np.repeat([LEVELS[k % len(LEVELS)] for k in range(size // 240 + 1)], 240)[:size]
+    reference = np.repeat(
+        [LEVELS[k % len(LEVELS)] for k in range(size // 240 + 1)], 240
+    )[:size]
     sensor = Peltier.sensor.realise(size, 1.0, 7) if Peltier.sensor else None
     held = simulate_closed_loop(RIG, reference, states=begin(RIG, 30.0), sensor=sensor)
-    experiment = Experiment(RIG, MODEL.structure.free, Window(reference, held.output, held.input))
+    experiment = Experiment(
+        RIG, MODEL.structure.free, Window(reference, held.output, held.input)
+    )
     values = experiment.values_of(RIG)
 
     def differences() -> Array:
@@ -54,7 +58,9 @@ def run(quick: bool) -> list[Row]:
             moved = values.copy()
             moved[j] *= 1 + 1e-6
             there = experiment.simulate(moved)
-            columns.append((np.stack([there.output, there.input]) - base) / (moved[j] - values[j]))
+            columns.append(
+                (np.stack([there.output, there.input]) - base) / (moved[j] - values[j])
+            )
         return np.stack(columns, axis=2)
 
     cases: dict[str, Any] = {
@@ -73,9 +79,19 @@ def run(quick: bool) -> list[Row]:
         theirs = timings[name].result if name in timings else None
         if theirs is not None:
             scale = np.max(np.abs(ours), axis=1, keepdims=True)
-            notes[name] = f"tangents differ by {np.max(np.abs(theirs - ours) / scale):.1e} at most"
-    if "solve_ivp, no tangents" in timings and timings["solve_ivp, no tangents"].result is not None:
-        off = np.max(np.abs(timings["solve_ivp, no tangents"].result - experiment.simulate(values).output))
+            notes[name] = (
+                f"tangents differ by {np.max(np.abs(theirs - ours) / scale):.1e} at most"
+            )
+    if (
+        "solve_ivp, no tangents" in timings
+        and timings["solve_ivp, no tangents"].result is not None
+    ):
+        off = np.max(
+            np.abs(
+                timings["solve_ivp, no tangents"].result
+                - experiment.simulate(values).output
+            )
+        )
         notes["solve_ivp, no tangents"] = f"output differs by {off:.1e} K at most"
     rows = rows_of(
         "dynamics",
@@ -109,19 +125,37 @@ def _observer(quick: bool) -> list[Row]:
         slope = MODEL.kernels.slopes_at(vector, states, MODEL.rest, row)[4][0]
         reach = covariance @ slope
         gain = reach / (slope @ reach + noise)
-        states = states + gain * (30.1 - MODEL.kernels.outputs_at(vector, states, MODEL.rest, row)[0][0])
+        states = states + gain * (
+            30.1 - MODEL.kernels.outputs_at(vector, states, MODEL.rest, row)[0][0]
+        )
         kept = np.eye(2) - np.outer(gain, slope)
         covariance = kept @ covariance @ kept.T + noise * np.outer(gain, gain)
         slopes = MODEL.kernels.predict(
-            vector, states, np.zeros((2, 2)), np.zeros(2), np.array([10.0]), row, 1.0, steps, nowhere
+            vector,
+            states,
+            np.zeros((2, 2)),
+            np.zeros(2),
+            np.array([10.0]),
+            row,
+            1.0,
+            steps,
+            nowhere,
         )
         held["states"] = states
-        held["covariance"] = slopes[:, :2] @ covariance @ slopes[:, :2].T + 4e-4 * np.eye(2)
+        held["covariance"] = slopes[:, :2] @ covariance @ slopes[
+            :, :2
+        ].T + 4e-4 * np.eye(2)
         return states
 
     cases = {"twinmatch": compiled, "the same filter in NumPy": numpy}
     timings = measure_side_by_side(cases, 3 if quick else 15, keeping=True)
-    return rows_of("dynamics", "a sample of the observer", timings, targets={"twinmatch": 4e-6}, notes={})
+    return rows_of(
+        "dynamics",
+        "a sample of the observer",
+        timings,
+        targets={"twinmatch": 4e-6},
+        notes={},
+    )
 
 
 def _forecast(quick: bool) -> list[Row]:
@@ -130,7 +164,9 @@ def _forecast(quick: bool) -> list[Row]:
     law = law_of(Peltier, 1.0)
     states = begin(RIG, 45.0)
     reference = np.repeat([45.0, 55.0], 150)
-    spread = np.array([0.05, 0.3, *(0.005 * MODEL.declared[name].scale for name in unsure)])
+    spread = np.array(
+        [0.05, 0.3, *(0.005 * MODEL.declared[name].scale for name in unsure)]
+    )
     rng = np.random.default_rng(3)
     runs = 20 if quick else 200
 
@@ -143,10 +179,15 @@ def _forecast(quick: bool) -> list[Row]:
         outputs = np.empty((runs, reference.size))
         for k in range(runs):
             moved = spread * rng.standard_normal(spread.size)
-            changes = {name: RIG[name] + change for name, change in zip(unsure, moved[2:], strict=True)}
+            changes = {
+                name: RIG[name] + change
+                for name, change in zip(unsure, moved[2:], strict=True)
+            }
             plant = RIG.replace(**changes)
             there = advance(plant, states + moved[:2], 0.0, 1.0)
-            noise = SensorRealisation(0.1 * rng.standard_normal(reference.size), np.zeros(300, np.bool_), 0.0)
+            noise = SensorRealisation(
+                0.1 * rng.standard_normal(reference.size), np.zeros(300, np.bool_), 0.0
+            )
             outputs[k] = simulate_closed_loop(
                 plant, reference, states=there, law=law, sensor=noise
             ).output  # fmt: skip
@@ -154,13 +195,19 @@ def _forecast(quick: bool) -> list[Row]:
 
     cases = {"twinmatch": foretold, f"{runs} runs drawn at random": drawn}
     timings = measure_side_by_side(cases, 3 if quick else 15)
-    ratio = np.sqrt(np.median(timings[f"{runs} runs drawn at random"].result / timings["twinmatch"].result))
+    ratio = np.sqrt(
+        np.median(
+            timings[f"{runs} runs drawn at random"].result / timings["twinmatch"].result
+        )
+    )
     return rows_of(
         "dynamics",
         f"a forecast of {reference.size} samples",
         timings,
         targets={"twinmatch": 2e-4},
-        notes={f"{runs} runs drawn at random": f"its band of y is {ratio:.2f} times ours, in the median"},
+        notes={
+            f"{runs} runs drawn at random": f"its band of y is {ratio:.2f} times ours, in the median"
+        },
     )
 
 
@@ -172,21 +219,31 @@ def _casadi_tangents(casadi: Any, experiment: Experiment, values: Array) -> Any:
     symbols = [*derived.states, *derived.inputs, *derived.parameters]
     written = Peltier().equations(MODEL.structure.parts)
     names = {"Max": casadi.fmax, "Min": casadi.fmin, "Abs": casadi.fabs}
-    rates = sympy.lambdify(symbols, [written.rates[s] for s in derived.states], [names, casadi])
+    rates = sympy.lambdify(
+        symbols, [written.rates[s] for s in derived.states], [names, casadi]
+    )
 
     n = values.size
     nx = len(derived.states)
     state = casadi.SX.sym("x", nx + 2)
     reference = casadi.SX.sym("r")
     free = casadi.SX.sym("p", n)
-    known = {name: float(RIG[name]) for name in RIG} | {m: free[j] for j, m in enumerate(experiment.free)}
+    known = {name: float(RIG[name]) for name in RIG} | {
+        m: free[j] for j, m in enumerate(experiment.free)
+    }
     parameters = [known[str(s)] for s in derived.parameters]
     gains = Peltier.loop
     output = state[0] - 273.15
     error = reference - output
-    wanted = gains.proportional * error + state[nx] + gains.derivative * (error - state[nx + 1])
+    wanted = (
+        gains.proportional * error
+        + state[nx]
+        + gains.derivative * (error - state[nx + 1])
+    )
     u = casadi.fmin(casadi.fmax(wanted, gains.low), gains.high)
-    integral = state[nx] + gains.integral * error + gains.back_calculation * (u - wanted)
+    integral = (
+        state[nx] + gains.integral * error + gains.back_calculation * (u - wanted)
+    )
     steps = RIG.steps(1.0)
     h = 1.0 / steps
     now = casadi.vertcat(*[state[i] for i in range(nx)])
@@ -201,7 +258,9 @@ def _casadi_tangents(casadi: Any, experiment: Experiment, values: Array) -> Any:
         k4 = rate(now + h * k3)
         now = now + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     tick = casadi.Function(
-        "tick", [state, reference, free], [casadi.vertcat(now, integral, error), casadi.vertcat(output, u)]
+        "tick",
+        [state, reference, free],
+        [casadi.vertcat(now, integral, error), casadi.vertcat(output, u)],
     )
     size = experiment.measured.shape[1]
     unknown = casadi.MX.sym("p", n)
@@ -212,9 +271,13 @@ def _casadi_tangents(casadi: Any, experiment: Experiment, values: Array) -> Any:
         *experiment.controller.tolist(),
     )
     _, found = tick.mapaccum("loop", size)(
-        first, experiment.window.reference[2:].reshape(1, -1), casadi.repmat(unknown, 1, size)
+        first,
+        experiment.window.reference[2:].reshape(1, -1),
+        casadi.repmat(unknown, 1, size),
     )
-    jacobian = casadi.Function("jacobian", [unknown], [casadi.jacobian(casadi.vec(found), unknown)])
+    jacobian = casadi.Function(
+        "jacobian", [unknown], [casadi.jacobian(casadi.vec(found), unknown)]
+    )
 
     def call() -> Array:
         return np.asarray(jacobian(values)).reshape(size, 2, n).transpose(1, 0, 2)
@@ -229,7 +292,9 @@ def _solve_ivp(experiment: Experiment) -> Array:
 
     equations = Peltier().equations(MODEL.structure.parts)
     symbols = [*written.states, *written.inputs, *written.parameters]
-    rates = sympy.lambdify(symbols, [equations.rates[s] for s in written.states], "math")
+    rates = sympy.lambdify(
+        symbols, [equations.rates[s] for s in written.states], "math"
+    )
     parameters = [RIG[str(s)] for s in written.parameters]
     pid = Controller(Peltier.loop, Peltier.loop.state(experiment.window))
     states = begin(RIG, float(experiment.measured[0, 0]))

@@ -49,7 +49,9 @@ START: Final = 120.0
 """Longest start of what a kind needs, wall s."""
 PATIENCE: Final = 90.0
 """Longest end, wall s."""
-AMISS: Final = re.compile(r"Traceback|Fatal Python error|terminate called|did not end in time|with code -")
+AMISS: Final = re.compile(
+    r"Traceback|Fatal Python error|terminate called|did not end in time|with code -"
+)
 """What is printed by a process that has not ended well, or by its launcher."""
 SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 TOPICS: Final = ("oven/set_point", "oven/temperature", "oven/heater")
@@ -116,7 +118,9 @@ class World:
         def make(device: Any, trace: Any) -> ModbusTcpServer:
             return ModbusTcpServer(device, address=("127.0.0.1", port), trace_pdu=trace)
 
-        made = RunningDevice(make, ServedOven().device(), f"modbus://127.0.0.1:{port}/1")
+        made = RunningDevice(
+            make, ServedOven().device(), f"modbus://127.0.0.1:{port}/1"
+        )
         self._endings.append(made.end)
         return made.url
 
@@ -133,7 +137,9 @@ Kind = Callable[[World, Path], Words]
 
 def node(name: str, **parameters: object) -> Words:
     """The words of a node's program."""
-    given = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
+    given = [
+        word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")
+    ]
     return ["-m", "twinmatch.nodes", name, "--ros-args", *given]
 
 
@@ -153,7 +159,14 @@ def _rig(world: World, _: Path) -> Words:
 
 
 def _attached(world: World, folder: Path, *more: object) -> Words:
-    where = ("--plant", world.plant, "--period", PERIOD, "--session", folder / "session")
+    where = (
+        "--plant",
+        world.plant,
+        "--period",
+        PERIOD,
+        "--session",
+        folder / "session",
+    )
     return command("attach", *where, *more)
 
 
@@ -174,7 +187,9 @@ def _of_modbus(world: World) -> Words:
 
 def _sampler(world: World, source: Words) -> Words:
     url = source[1] if source[0] == "--source" else ""
-    places = dict(str(word).split("=", 1) for word in source[source.index("--map") + 1 :])
+    places = dict(
+        str(word).split("=", 1) for word in source[source.index("--map") + 1 :]
+    )
     given = {f"map.{name}": f"'{place}'" for name, place in places.items()}
     return node("sampler", plant=world.plant, period=PERIOD, source=f"'{url}'", **given)
 
@@ -185,9 +200,13 @@ KINDS: Final[dict[str, Kind]] = {
     "controller": lambda _, __: node("controller"),
     "rig": _rig,
     "tclab_bridge": lambda world, _: node("tclab_bridge", port=world.kit["serial"]),
-    "tclab_rig": lambda world, _: node("tclab_rig", **{"tclab_bridge:port": world.kit["serial"]}),
+    "tclab_rig": lambda world, _: node(
+        "tclab_rig", **{"tclab_bridge:port": world.kit["serial"]}
+    ),
     "plant_clock": lambda world, _: node("plant_clock", address=world.rig["clock"]),
-    "player": lambda _, __: node("player", session=SESSION, rate=50.0, wait_timeout=60.0),
+    "player": lambda _, __: node(
+        "player", session=SESSION, rate=50.0, wait_timeout=60.0
+    ),
     "recorder": lambda _, folder: node("recorder", folder=folder / "sessions"),
     "twin": lambda _, __: node("twin"),
     "twin_simulator": lambda _, __: node("twin_simulator"),
@@ -199,16 +218,31 @@ KINDS: Final[dict[str, Kind]] = {
     "page": lambda world, _: command("dashboard", "--port", 0, "--tell", world.broker),
     "foxglove": lambda _, __: command("foxglove", "--port", 0),
     "virtual rig": lambda _, __: command("virtual-rig", "--speed", 5),
-    "virtual kit": lambda _, __: command("virtual-rig", "--plant", "tclab", "--speed", 5),
+    "virtual kit": lambda _, __: command(
+        "virtual-rig", "--plant", "tclab", "--speed", 5
+    ),
     "alone, MQTT": lambda world, folder: _attached(
         world, folder, "--alone", "--dashboard", 0, *_of_mqtt(world)
     ),
-    "alone, Modbus": lambda world, folder: _attached(world, folder, "--alone", *_of_modbus(world)),
+    "alone, Modbus": lambda world, folder: _attached(
+        world, folder, "--alone", *_of_modbus(world)
+    ),
     "attach, ROS": lambda world, folder: _attached(world, folder, *_of_ros(world)),
-    "attach, MQTT": lambda world, folder: _attached(world, folder, "--dashboard", 0, *_of_mqtt(world)),
-    "attach, Modbus": lambda world, folder: _attached(world, folder, *_of_modbus(world)),
+    "attach, MQTT": lambda world, folder: _attached(
+        world, folder, "--dashboard", 0, *_of_mqtt(world)
+    ),
+    "attach, Modbus": lambda world, folder: _attached(
+        world, folder, *_of_modbus(world)
+    ),
     "live": lambda _, folder: command(
-        "live", "--virtual", "--speed", 5, "--dashboard", 0, "--session", folder / "session"
+        "live",
+        "--virtual",
+        "--speed",
+        5,
+        "--dashboard",
+        0,
+        "--session",
+        folder / "session",
     ),
     "play": lambda _, __: command("play", SESSION, "--rate", 50, "--dashboard", 0),
 }
@@ -223,13 +257,17 @@ class Ending(NamedTuple):
     """What was wrong, with what it has printed; empty if nothing was."""
 
 
-def end_once(words: Words, folder: Path, moment: float, number: signal.Signals) -> Ending:
+def end_once(
+    words: Words, folder: Path, moment: float, number: signal.Signals
+) -> Ending:
     """Start a program and send it a signal at a moment (s after its start)."""
     temporary = folder / "tmp"
     temporary.mkdir()
     environment = {**os.environ, "PYTHONUNBUFFERED": "1", "TMPDIR": str(temporary)}
     output = folder / "output.txt"
-    process = Process(sys.executable, *words, output=output, environment=environment, forked=True)
+    process = Process(
+        sys.executable, *words, output=output, environment=environment, forked=True
+    )
     time.sleep(moment)
     by_itself = not process.running
     started = descendants(process.id)
@@ -241,12 +279,18 @@ def end_once(words: Words, folder: Path, moment: float, number: signal.Signals) 
         code = None
     wrong = list(_amiss(code, process.text, number, by_itself=by_itself))
     wrong += [f"{name} still runs" for pid, name in started.items() if _runs(pid)]
-    wrong += [f"{path.name} is left" for path in temporary.iterdir() if not path.name.startswith("pymp-")]
+    wrong += [
+        f"{path.name} is left"
+        for path in temporary.iterdir()
+        if not path.name.startswith("pymp-")
+    ]
     said = f"{number.name} after {moment:.2f} s: {', '.join(wrong)}\n{process.text[-3000:]}"
     return Ending("hangs" if code is None else str(code), said if wrong else "")
 
 
-def _amiss(code: int | None, text: str, number: signal.Signals, *, by_itself: bool) -> Iterator[str]:
+def _amiss(
+    code: int | None, text: str, number: signal.Signals, *, by_itself: bool
+) -> Iterator[str]:
     importing = code == -number and not text
     interrupted = code == -signal.SIGINT and text.endswith("twinmatch: interrupted\n")
     if code is None:
@@ -285,7 +329,9 @@ def _runs(process: int) -> bool:
     """Whether it runs, also a moment later: a process ends after those who wait for its output know."""
     for _ in range(20):
         try:
-            state = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0]
+            state = (
+                Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0]
+            )
         except OSError:
             return False
         if state == "Z":
@@ -321,27 +367,40 @@ def end_often(name: str, there: World, number: int, seed: int, within: float) ->
             wrong += 1
             print(f"   {name}: {ending.wrong}", flush=True)
     shown = ", ".join(f"{code}: {count}" for code, count in sorted(codes.items()))
-    print(f"{name:18} {number - wrong} of {number} well; exit codes {shown}", flush=True)
+    print(
+        f"{name:18} {number - wrong} of {number} well; exit codes {shown}", flush=True
+    )
     return wrong
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.endings", description=__doc__)
-    parser.add_argument("number", type=int, nargs="?", default=50, metavar="N", help="of each kind (50)")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.endings", description=__doc__
+    )
+    parser.add_argument(
+        "number", type=int, nargs="?", default=50, metavar="N", help="of each kind (50)"
+    )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--kinds", nargs="+", choices=[*KINDS], metavar="NAME", default=[*KINDS])
-    parser.add_argument("--within", type=float, default=8.0, help="latest moment after the start, s (8)")
+    parser.add_argument(
+        "--kinds", nargs="+", choices=[*KINDS], metavar="NAME", default=[*KINDS]
+    )
+    parser.add_argument(
+        "--within", type=float, default=8.0, help="latest moment after the start, s (8)"
+    )
     parser.add_argument("--list", action="store_true", help="name the kinds and stop")
     options = parser.parse_args()
     if options.list:
         print("\n".join(KINDS))
         return 0
-    for number in SIGNALS:  # so that the world ends, too; and a shell's background would ignore SIGINT
+    for number in SIGNALS:
+        # so that the world ends, too; and a shell's background would ignore SIGINT
         signal.signal(number, signal.default_int_handler)
     wrong = 0
     with world() as there:
         for name in options.kinds:
-            wrong += end_often(name, there, options.number, options.seed, options.within)
+            wrong += end_often(
+                name, there, options.number, options.seed, options.within
+            )
     return 1 if wrong else 0
 
 

@@ -43,9 +43,15 @@ from twinmatch.signals import FloatArray, Sample
 from twinmatch.twin import Twin, TwinSettings
 from twinmatch.twin.tried import tried_twins
 
-LEVELS = {"peltier": ((30.0, 45.0, 38.0), 300.0, 0.1), "tclab": ((32.0, 45.0, 38.0), 700.0, 0.32)}
+LEVELS = {
+    "peltier": ((30.0, 45.0, 38.0), 300.0, 0.1),
+    "tclab": ((32.0, 45.0, 38.0), 700.0, 0.32),
+}
 """Usual set-points, how long each is held, s, and the steps of the sensor."""
-TYPICAL = {Peltier: "sink with mass, free ambient", TCLab: "sensor lag, radiation, neighbour"}
+TYPICAL = {
+    Peltier: "sink with mass, free ambient",
+    TCLab: "sensor lag, radiation, neighbour",
+}
 """The structure of plants whose parameters, laws and faults are asked about."""
 LONGEST = 3
 """How many courses long a step and a PRBS may last."""
@@ -62,7 +68,10 @@ class Bench:
         self.random = np.random.default_rng(seed)
         model = plant.model(structure)
         typical = model.parameters()
-        scaled = {k: typical[k] * math.exp(self.random.uniform(-0.1, 0.1)) for k in model.structure.free}
+        scaled = {
+            k: typical[k] * math.exp(self.random.uniform(-0.1, 0.1))
+            for k in model.structure.free
+        }
         if "ambient" in scaled:
             scaled["ambient"] = typical["ambient"] + self.random.uniform(-2.0, 2.0)
         self.truth = typical.replace(**scaled)
@@ -76,11 +85,16 @@ class Bench:
     def sample(self, level: float) -> Sample:
         """The next one."""
         noise = self.plant.output.noise * self.random.standard_normal(1)
-        y = np.round((readings(self.truth, self.states) + noise) / self.step_of_sensor) * self.step_of_sensor
+        y = (
+            np.round((readings(self.truth, self.states) + noise) / self.step_of_sensor)
+            * self.step_of_sensor
+        )
         self.loop.measure(tuple(y.tolist()), self.k * 10**9)
         sample = self.loop.tick(self.k * 10**9, lambda _: level)
         assert sample is not None
-        acting = self.truth.model.rest + self.share * (np.array(sample.inputs) - self.truth.model.rest)
+        acting = self.truth.model.rest + self.share * (
+            np.array(sample.inputs) - self.truth.model.rest
+        )
         self.states = advance(self.truth, self.states, acting, 1.0)
         self.k = self.k + 1
         return sample
@@ -130,7 +144,9 @@ def run(asked: Asked, levels: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.array([s.outputs for s in samples]), np.array([s.inputs for s in samples])
 
 
-def decided(asked: Asked, outputs: FloatArray, inputs: FloatArray) -> tuple[int | None, str]:
+def decided(
+    asked: Asked, outputs: FloatArray, inputs: FloatArray
+) -> tuple[int | None, str]:
     """Samples until one contender leads, and which it is."""
     for size in range(EVERY, len(outputs) + 1, EVERY):
         each = characters_by(asked.found, outputs[:size], inputs[:size])
@@ -142,7 +158,9 @@ def decided(asked: Asked, outputs: FloatArray, inputs: FloatArray) -> tuple[int 
 
 def structures(plant: type[Plant], number: int, seed: int) -> None:
     """Which structure is decided, and how soon."""
-    watched = [name for name, structure in plant.structures.items() if structure.watched]
+    watched = [
+        name for name, structure in plant.structures.items() if structure.watched
+    ]
     results: dict[str, list[tuple[int | None, bool]]] = {}
     beyond = 0.0
     cpu = []
@@ -156,11 +174,15 @@ def structures(plant: type[Plant], number: int, seed: int) -> None:
         for name, levels in courses(asked):
             outputs, inputs = run(asked, levels)
             size, which = decided(asked, outputs, inputs)
-            results.setdefault(name, []).append((size, size is not None and _contains(plant, which, true)))
+            results.setdefault(name, []).append(
+                (size, size is not None and _contains(plant, which, true))
+            )
             line.append(f"{name} {size} {which}")
             if name == "proposed":
                 low, high = asked.found.terms.outputs
-                beyond = max(beyond, float(np.max(outputs - high)), float(np.max(low - outputs)))
+                beyond = max(
+                    beyond, float(np.max(outputs - high)), float(np.max(low - outputs))
+                )
         print(f"  {true}: {'; '.join(line)}", flush=True)
     for name, each in results.items():
         sizes = [math.inf if size is None else size for size, _ in each]
@@ -170,7 +192,9 @@ def structures(plant: type[Plant], number: int, seed: int) -> None:
             f"{plant.name}, {name}: median {median(sizes):g} samples, right {right}, wrong {wrong}, "
             f"of {len(each)}"
         )
-    print(f"beyond the range by {max(beyond, 0.0):.2g}; {median(cpu):.2f} s of CPU, at most {max(cpu):.2f}")
+    print(
+        f"beyond the range by {max(beyond, 0.0):.2g}; {median(cpu):.2f} s of CPU, at most {max(cpu):.2f}"
+    )
 
 
 def spreads(plant: type[Plant], number: int, seed: int) -> None:
@@ -179,19 +203,28 @@ def spreads(plant: type[Plant], number: int, seed: int) -> None:
     errors: dict[str, list[float]] = {}
     for k in range(number):
         asked = _asked(plant, true, seed + k, "parameters")
-        twin = asked and next((m for m in asked.members if m.parameters.model.structure_name == true), None)
+        twin = asked and next(
+            (m for m in asked.members if m.parameters.model.structure_name == true),
+            None,
+        )
         if asked is None or twin is None:
             continue
         levels = asked.found.course.rows[:, 0]
-        for name, error in zip(twin.free, *_errors(asked, twin, *run(asked, levels)), strict=True):
+        for name, error in zip(
+            twin.free, *_errors(asked, twin, *run(asked, levels)), strict=True
+        ):
             errors.setdefault(name, []).append(error)
-    ratios = {name: float(np.sqrt(np.mean(np.square(each)))) for name, each in errors.items()}
+    ratios = {
+        name: float(np.sqrt(np.mean(np.square(each)))) for name, each in errors.items()
+    }
     count = len(next(iter(errors.values()), []))
     words = ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items())
     print(f"{plant.name}, RMS error / predicted, {count} plants: {words}")
 
 
-def _errors(asked: Asked, twin: TriedTwin, outputs: FloatArray, inputs: FloatArray) -> tuple[list[float]]:
+def _errors(
+    asked: Asked, twin: TriedTwin, outputs: FloatArray, inputs: FloatArray
+) -> tuple[list[float]]:
     """Errors of a twin's parameters once it has been fitted to these readings within what it left open."""
     centre, known = learned(asked, twin, outputs, inputs)
     true = np.array([asked.bench.truth[name] for name in twin.free])
@@ -213,7 +246,10 @@ def learned(
         values = np.clip(start + root @ moved[:n], 0.2 * start, 5.0 * start)
         at = Contender(
             replace(
-                twin, parameters=twin.parameters.replace(**dict(zip(twin.free, values.tolist(), strict=True)))
+                twin,
+                parameters=twin.parameters.replace(
+                    **dict(zip(twin.free, values.tolist(), strict=True))
+                ),
             )
         )
         search.starts[id(at.twin)] = search.starts[id(twin)]
@@ -245,14 +281,19 @@ def faults(plant: type[Plant], number: int, seed: int) -> None:
             asked.bench.share = weak.share
         else:
             grown = sick.twin.parameters[lost] / weak.twin.parameters[lost]
-            asked.bench.truth = asked.bench.truth.replace(**{lost: grown * asked.bench.truth[lost]})
+            asked.bench.truth = asked.bench.truth.replace(
+                **{lost: grown * asked.bench.truth[lost]}
+            )
         before = float(asked.found.terms.before[0])
         for _ in range(1200):  # the loop holds its level again
             asked.bench.sample(before)
         size, which = decided(asked, *run(asked, asked.found.course.rows[:, 0]))
         told = told + (size is not None)
         right = right + (which == name)
-        print(f"  {name}: {which} after {size} of {len(asked.found.course.rows)}", flush=True)
+        print(
+            f"  {name}: {which} after {size} of {len(asked.found.course.rows)}",
+            flush=True,
+        )
     words = f"parted {told}, rightly {right}, of {len(cpu)}; {median(cpu):.2f} s of CPU"
     print(f"{plant.name}, faults said as both: {words}")
 
@@ -266,7 +307,9 @@ def laws(number: int, seed: int) -> None:
         plant = (Peltier, TCLab)[k % 2]
         true = TYPICAL[plant]
         bench, members, terms = taught(plant, true, seed + k)
-        members = tuple(m for m in members if m.parameters.model.structure_name == true)[:1]
+        members = tuple(
+            m for m in members if m.parameters.model.structure_name == true
+        )[:1]
         answer = members and _undecided(members, terms, bench)
         if not answer:
             continue
@@ -280,10 +323,19 @@ def laws(number: int, seed: int) -> None:
         twin = members[0]
         centre, known = learned(asked, twin, *run(asked, found.course.rows[:, 0]))
         values = dict(zip(twin.free, centre.tolist(), strict=True))
-        better = replace(twin, parameters=twin.parameters.replace(**values), covariance=known, states=None)
-        after = try_controller([better], ControllerQuestion(answer[0], *_level(terms), draws=60))
+        better = replace(
+            twin,
+            parameters=twin.parameters.replace(**values),
+            covariance=known,
+            states=None,
+        )
+        after = try_controller(
+            [better], ControllerQuestion(answer[0], *_level(terms), draws=60)
+        )
         truth = replace(better, parameters=bench.truth, covariance=None)
-        really = try_controller([truth], ControllerQuestion(answer[0], *_level(terms), draws=1)).decision
+        really = try_controller(
+            [truth], ControllerQuestion(answer[0], *_level(terms), draws=1)
+        ).decision
         asked_of += 1
         told += after.decision is not ControllerDecision.UNDECIDED
         right += after.decision is really
@@ -305,8 +357,16 @@ def _undecided(
     high = 1000.0
     for _ in range(14):
         by = math.sqrt(low * high)
-        law = as_linear(replace(gains, proportional=by * gains.proportional, integral=by * gains.integral))
-        answer = try_controller(members, ControllerQuestion(law, *_level(terms), draws=40))
+        law = as_linear(
+            replace(
+                gains,
+                proportional=by * gains.proportional,
+                integral=by * gains.integral,
+            )
+        )
+        answer = try_controller(
+            members, ControllerQuestion(law, *_level(terms), draws=40)
+        )
         unstable = [one for one in answer.stability if not one.sound]
         if answer.question is not None:
             return law, answer
@@ -338,8 +398,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("number", type=int, nargs="?", default=20, help="plants of each kind")
-    parser.add_argument("--only", choices=("structure", "parameters", "controller", "fault"))
+    parser.add_argument(
+        "number", type=int, nargs="?", default=20, help="plants of each kind"
+    )
+    parser.add_argument(
+        "--only", choices=("structure", "parameters", "controller", "fault")
+    )
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
     number = options.number

@@ -39,11 +39,17 @@ RIGHT = {
 
 
 def visible_after(
-    start: int, samples: list[Sample], whole: list[Sample], truth: FloatArray, other: FloatArray
+    start: int,
+    samples: list[Sample],
+    whole: list[Sample],
+    truth: FloatArray,
+    other: FloatArray,
 ) -> int | None:
     """Samples from the break until plate or reading are 1 °C (15 times the noise) from what they would be."""
     away = np.abs(truth - other)
-    away = np.maximum(away, [abs(a.output - b.output) for a, b in zip(samples, whole, strict=True)])
+    away = np.maximum(
+        away, [abs(a.output - b.output) for a, b in zip(samples, whole, strict=True)]
+    )
     found = np.flatnonzero(away[start:] > 1.0)
     return int(found[0]) if found.size else None
 
@@ -56,9 +62,13 @@ def measure(kind: str, length: int, runs: int) -> str:
     early = 0
     for seed in range(runs):
         start = int(np.random.default_rng(seed).integers(500, 900))
-        reference = rigs.profile(seed + 1000, 1500 if kind[:4] in ("driv", "supp", "sens", "read") else 2700)
+        reference = rigs.profile(
+            seed + 1000, 1500 if kind[:4] in ("driv", "supp", "sens", "read") else 2700
+        )
         rig = rigs.some_rig(seed)
-        samples, truth = rigs.run(reference, rigs.Break(kind, start, length), rig=rig, seed=seed)
+        samples, truth = rigs.run(
+            reference, rigs.Break(kind, start, length), rig=rig, seed=seed
+        )
         whole, other = rigs.run(reference, rig=rig, seed=seed)
         monitor, healths = rigs.watch(samples)
         alarms = [a for a in monitor.alarms if a.flagged >= start]
@@ -78,19 +88,27 @@ def measure(kind: str, length: int, runs: int) -> str:
     since = f"{np.median(seen):4.0f} {max(seen):4d}" if seen else "   –    –"
     told = ", ".join(f"{n} {name}" for name, n in names.most_common())
     lasts = str(length) if length < 10_000 else "stays"
-    return f"{kind:15s} {lasts:>6s} | {delays} | {since} | {cleared:3d} | {early} | {told}"
+    return (
+        f"{kind:15s} {lasts:>6s} | {delays} | {since} | {cleared:3d} | {early} | {told}"
+    )
 
 
 def confusion(runs: int, kinds: tuple[str, ...] = SLOW_KINDS) -> list[str]:
     """What is reported for every kind of change: rows are what is broken, columns what it was called."""
-    lines = [f"{'changed':12s} right in {IN_TIME} s | median, worst | reported (of {runs} runs)"]
+    lines = [
+        f"{'changed':12s} right in {IN_TIME} s | median, worst | reported (of {runs} runs)"
+    ]
     for kind in kinds:
         told = [rigs.names_told(kind, seed) for seed in range(runs)]
         names = Counter(name for name, _ in told)
         delays = sorted(d for _, d in told if d is not None)
         right = {RIGHT[part] for part in RIGHT if kind.startswith(part)}
-        in_time = sum(name in right and d is not None and d <= IN_TIME for name, d in told)
-        spread = f"{np.median(delays):5.0f} {delays[-1]:7d}" if delays else "    –       –"
+        in_time = sum(
+            name in right and d is not None and d <= IN_TIME for name, d in told
+        )
+        spread = (
+            f"{np.median(delays):5.0f} {delays[-1]:7d}" if delays else "    –       –"
+        )
         words = ", ".join(f"{n} {name}" for name, n in names.most_common())
         lines.append(f"{kind:12s} {in_time:14d} | {spread} | {words}")
     return lines
@@ -100,7 +118,9 @@ def false_alarms(hours: int) -> str:
     alarms = 0
     suspects = 0
     for seed in range(hours):
-        samples, _ = rigs.run(rigs.profile(seed + 5000, 3600), rig=rigs.some_rig(seed + 5000), seed=seed)
+        samples, _ = rigs.run(
+            rigs.profile(seed + 5000, 3600), rig=rigs.some_rig(seed + 5000), seed=seed
+        )
         monitor, healths = rigs.watch(samples)
         alarms += len(monitor.alarms)
         suspects += sum(h.state is HealthState.SUSPECT for h in healths)
@@ -109,11 +129,17 @@ def false_alarms(hours: int) -> str:
 
 def rig(runs: int = 40, hours: int = 100) -> None:
     """The Peltier rig, broken in many ways."""
-    print("broken          length | onset med max | visible med max | cleared | before | reported")
+    print(
+        "broken          length | onset med max | visible med max | cleared | before | reported"
+    )
     cases = [("drive-lost", n) for n in (10, 20, 60, 1_000_000)]
-    cases += [(kind, n) for kind in ("supply*0.5", "supply*0.6") for n in (60, 1_000_000)]
+    cases += [
+        (kind, n) for kind in ("supply*0.5", "supply*0.6") for n in (60, 1_000_000)
+    ]
     cases += [("sensor-frozen", n) for n in (12, 30, 1_000_000)]
-    cases += [(kind, n) for kind in ("sensor-off", "reading-offset") for n in (20, 1_000_000)]
+    cases += [
+        (kind, n) for kind in ("sensor-off", "reading-offset") for n in (20, 1_000_000)
+    ]
     for case in cases:
         print(measure(*case, runs), flush=True)
     print(*confusion(runs), sep="\n", flush=True)
@@ -123,8 +149,14 @@ def rig(runs: int = 40, hours: int = 100) -> None:
 def _opened(seed: int, minutes: float) -> tuple[incubators.Lid, tuple[Alarm, ...]]:
     random = np.random.default_rng(seed + 100)
     opened = int(random.integers(250, 500))
-    lid = incubators.Lid(opened, opened + round(60 * minutes / incubators.PERIOD), random.uniform(3.0, 10.0))
-    return lid, incubators.watch(incubators.run(incubators.some_incubator(seed), seed, 900, lid))
+    lid = incubators.Lid(
+        opened,
+        opened + round(60 * minutes / incubators.PERIOD),
+        random.uniform(3.0, 10.0),
+    )
+    return lid, incubators.watch(
+        incubators.run(incubators.some_incubator(seed), seed, 900, lid)
+    )
 
 
 def _measure(runs: int, minutes: float) -> str:
@@ -135,7 +167,11 @@ def _measure(runs: int, minutes: float) -> str:
     for seed in range(runs):
         lid, alarms = _opened(seed, minutes)
         early += any(a.flagged < lid.opened for a in alarms)
-        found = [a for a in alarms if a.fault is Fault.LOSSES_CHANGED and a.flagged >= lid.opened]
+        found = [
+            a
+            for a in alarms
+            if a.fault is Fault.LOSSES_CHANGED and a.flagged >= lid.opened
+        ]
         other.update(a.fault.value for a in alarms if a not in found[:1])
         if not found:
             continue
@@ -156,18 +192,26 @@ def incubator(runs: int = 40) -> None:
     for minutes in (1.0, 3.0):
         print(_measure(runs, minutes), flush=True)
     healthy = (
-        incubators.watch(incubators.run(incubators.some_incubator(seed + 500), seed, 1200))
+        incubators.watch(
+            incubators.run(incubators.some_incubator(seed + 500), seed, 1200)
+        )
         for seed in range(runs)
     )
     alarms = Counter(a.fault.value for found in healthy for a in found)
     print(f"{runs} healthy hours: {dict(alarms) or 'no alarm'}")
 
 
-def _kits(runs: int) -> Iterator[tuple[int, kits.Simulated | kits.Published, FloatArray]]:
+def _kits(
+    runs: int,
+) -> Iterator[tuple[int, kits.Simulated | kits.Published, FloatArray]]:
     """Kits of both kinds in turn, half of the published ones with a second heater that is switched."""
     for seed in range(runs):
         kit = kits.Published(seed) if seed % 2 else kits.Simulated(seed)
-        second = kits.some_levels(seed + 1, 3600, 0.0, 60.0, 900) if seed % 4 == 3 else np.zeros(3600)
+        second = (
+            kits.some_levels(seed + 1, 3600, 0.0, 60.0, 900)
+            if seed % 4 == 3
+            else np.zeros(3600)
+        )
         yield seed, kit, second
 
 
@@ -192,18 +236,26 @@ def _by_power(runs: int) -> None:
         for seed in range(runs):
             lost = 1000 + 37 * seed
             alarms = kits.watch(
-                kits.run(kits.Simulated(seed), kits.hold(power, lost + 240), kits.Broken(lost=lost))
+                kits.run(
+                    kits.Simulated(seed),
+                    kits.hold(power, lost + 240),
+                    kits.Broken(lost=lost),
+                )
             )
             found.append(_told(lost, alarms))
         print(f"at rest at {power} %: {_row(found)}", flush=True)
 
 
-def _at_some_moment(runs: int, make: Callable[[int], kits.Simulated | kits.Published], name: str) -> None:
+def _at_some_moment(
+    runs: int, make: Callable[[int], kits.Simulated | kits.Published], name: str
+) -> None:
     found = []
     early = 0
     for seed in range(runs):
         lost = int(np.random.default_rng(seed).integers(60, 2400))
-        alarms = kits.watch(kits.run(make(seed), kits.levels(lost + 240), kits.Broken(lost=lost)))
+        alarms = kits.watch(
+            kits.run(make(seed), kits.levels(lost + 240), kits.Broken(lost=lost))
+        )
         early += any(a.flagged < lost for a in alarms)
         found.append(_told(lost, alarms))
     print(f"{name}, at some moment: {_row(found)}; {early} before", flush=True)
@@ -213,17 +265,33 @@ def _draughts(runs: int) -> None:
     for factor in (1.5, 2.0, 3.0):
         names: Counter[str] = Counter()
         for seed in range(runs):
-            kit: kits.Simulated | kits.Published = kits.Published(seed) if seed % 2 else kits.Simulated(seed)
-            alarms = kits.watch(kits.run(kit, kits.levels(1800), kits.Broken(draught=1250, losses=factor)))
-            names.update([", ".join(a.fault.value for a in alarms if a.flagged >= 1250) or "nothing"])
-        print(f"losses times {factor:g} from one second to the next: {dict(names)}", flush=True)
+            kit: kits.Simulated | kits.Published = (
+                kits.Published(seed) if seed % 2 else kits.Simulated(seed)
+            )
+            alarms = kits.watch(
+                kits.run(
+                    kit, kits.levels(1800), kits.Broken(draught=1250, losses=factor)
+                )
+            )
+            names.update(
+                [
+                    ", ".join(a.fault.value for a in alarms if a.flagged >= 1250)
+                    or "nothing"
+                ]
+            )
+        print(
+            f"losses times {factor:g} from one second to the next: {dict(names)}",
+            flush=True,
+        )
 
 
 def _healthy(hours: int) -> None:
     told = Counter(
         a.fault.value
         for seed, kit, second in _kits(hours)
-        for a in kits.watch(kits.run(kit, kits.some_levels(seed, 3600, 26.0, 65.0, 700), second=second))
+        for a in kits.watch(
+            kits.run(kit, kits.some_levels(seed, 3600, 26.0, 65.0, 700), second=second)
+        )
     )
     print(f"{hours} healthy hours: {dict(told) or 'no alarm'}", flush=True)
 
@@ -238,4 +306,6 @@ def kit(runs: int = 20, hours: int = 100) -> None:
 
 
 if __name__ == "__main__":
-    {"rig": rig, "incubator": incubator, "kit": kit}[sys.argv[1]](*map(int, sys.argv[2:]))
+    {"rig": rig, "incubator": incubator, "kit": kit}[sys.argv[1]](
+        *map(int, sys.argv[2:])
+    )

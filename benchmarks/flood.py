@@ -63,7 +63,9 @@ def forged(kind: str, begun: int) -> Iterator[Any]:
     score = ModelScore(level=ModelScore.UNKNOWN, level_name="unknown", decimals=2)
     for k in range(sys.maxsize):
         if kind == "samples":
-            yield sample_message(Sample(10_000 + k, begun + k * 1_000_000_000, 40.0, 20.0, 255.0))
+            yield sample_message(
+                Sample(10_000 + k, begun + k * 1_000_000_000, 40.0, 20.0, 255.0)
+            )
         elif kind == "requests":
             request.sample = 299 + k
             yield request
@@ -128,11 +130,21 @@ class Flood:
 
 def main() -> int:
     title = (__doc__ or "").splitlines()[0]
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.flood", description=title)
-    parser.add_argument("kinds", nargs="*", choices=(*TOPICS, []), help="what to publish (all)")
-    parser.add_argument("--rate", type=float, default=2000.0, help="messages per second (2000)")
-    parser.add_argument("--seconds", type=float, default=20.0, help="wall time of each flood (20)")
-    parser.add_argument("--speed", type=float, default=4.0, help="plant time per wall time (4)")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.flood", description=title
+    )
+    parser.add_argument(
+        "kinds", nargs="*", choices=(*TOPICS, []), help="what to publish (all)"
+    )
+    parser.add_argument(
+        "--rate", type=float, default=2000.0, help="messages per second (2000)"
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, help="wall time of each flood (20)"
+    )
+    parser.add_argument(
+        "--speed", type=float, default=4.0, help="plant time per wall time (4)"
+    )
     options = parser.parse_args()
     options.plant = "peltier"
     options.session = None
@@ -151,8 +163,14 @@ def main() -> int:
                 took = flood.run(node, kind, options.rate, options.seconds)
                 print(f"{kind}: {took:.0f} per second for {options.seconds:g} s")
                 for name, held in sorted(flood.memory.items()):
-                    print(f"  {name:14} {held[0]:6.0f} MB, at most {max(held):6.0f}, then {held[-1]:6.0f}")
-                    failed += [f"{kind}: {name} grew"] if max(held) - held[0] > ALLOWED else []
+                    print(
+                        f"  {name:14} {held[0]:6.0f} MB, at most {max(held):6.0f}, then {held[-1]:6.0f}"
+                    )
+                    failed += (
+                        [f"{kind}: {name} grew"]
+                        if max(held) - held[0] > ALLOWED
+                        else []
+                    )
                 drives = sum(pwm != 0 for pwm in flood.pwm)
                 print(
                     f"  driven at {drives} of {len(flood.pwm)} looks, plate at most {max(flood.plate):.1f} °C"
@@ -160,8 +178,16 @@ def main() -> int:
         finally:
             soak.stop()
     failed += [f"{name} was started more than once" for name in soak.restarted]
-    named = [line for line in soak.lines if "end all but one" in line and "refused" not in line]
-    print("\n".join([*dict.fromkeys(named), *(line for line in soak.lines if "ended" in line)]))
+    named = [
+        line
+        for line in soak.lines
+        if "end all but one" in line and "refused" not in line
+    ]
+    print(
+        "\n".join(
+            [*dict.fromkeys(named), *(line for line in soak.lines if "ended" in line)]
+        )
+    )
     print("\n".join(f"flood: {why}" for why in failed))
     return 1 if failed else 0
 

@@ -38,7 +38,9 @@ def run(quick: bool) -> list[Row]:
         finally:
             for model in models.values():
                 Peltier.disown(model.structure_name)
-    found: dict[str, Match] = {name: timing.result for name, timing in timings.items() if not timing.error}
+    found: dict[str, Match] = {
+        name: timing.result for name, timing in timings.items() if not timing.error
+    }
     native = found["twinmatch"].parameters["seebeck"]
     notes = {
         name: f"seebeck off by {abs(one.parameters['seebeck'] / native - 1):.1e}"
@@ -51,14 +53,16 @@ def structures(folder: Path) -> dict[str, Model]:
     """The held sink as FMUs, if the tools to build and run them are installed."""
     if peer("fmpy") is None:
         return {}
-    from twinmatch.fmu import adopt_fmus  # noqa: PLC0415 (an extra)
+    from twinmatch.fmu import adopt_fmus  # noqa: PLC0415
 
     built = {}
     if shutil.which("gcc"):
         built["C, model exchange"] = build_c_fmu(folder)
     if peer("pythonfmu") is not None:
         built["Python, co-simulation"] = build_python_fmu(folder, steps=4)
-    return {name: adopt_fmus(write_map(folder, fmu, name))[0] for name, fmu in built.items()}
+    return {
+        name: adopt_fmus(write_map(folder, fmu, name))[0] for name, fmu in built.items()
+    }
 
 
 def record(samples: int) -> Window:
@@ -66,7 +70,9 @@ def record(samples: int) -> Window:
     truth = NATIVE.parameters(seebeck=0.06, conductance=0.7, heat_capacity=28.0)
     reference = np.repeat([40.0, 60.0], [30, samples - 30])
     camera = Peltier.sensor.realise(samples, 1.0, 3)
-    run = simulate_closed_loop(truth, reference, states=begin(truth, 38.0), sensor=camera)
+    run = simulate_closed_loop(
+        truth, reference, states=begin(truth, 38.0), sensor=camera
+    )
     return Window(reference, run.output, run.input, period=1.0)
 
 

@@ -17,7 +17,9 @@ def main(rooms: int) -> None:
     for stores in (1, 2, 3):
         said = [judged_room(seed, stores).split("; ")[-1] for seed in range(rooms)]
         others = {text for text in said if not text.startswith("a second store")}
-        print(f"{stores} stores: named in {sum(text not in others for text in said)} of {rooms}")
+        print(
+            f"{stores} stores: named in {sum(text not in others for text in said)} of {rooms}"
+        )
         print(*(f"    {text}" for text in others if stores > 1), sep="\n", end="")
 
 

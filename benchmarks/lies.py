@@ -54,26 +54,39 @@ LASTS = 900
 
 def without(bench: Bench) -> OutputGuard:
     """A guard that knows neither budget nor observer."""
-    return OutputGuard(replace(bench.bridge.LIMITS, budget=BudgetLimits(hold=255.0, least=1e6)))
+    return OutputGuard(
+        replace(bench.bridge.LIMITS, budget=BudgetLimits(hold=255.0, least=1e6))
+    )
 
 
 def shown(endings: list[Ending]) -> str:
     after = [ending.after for ending in endings if ending.after is not None]
     never = len(endings) - len(after)
     times = f"{min(after):4d} to {max(after):4d}" if after else "           "
-    kinds = sorted({ending.fault.kind.value for ending in endings if ending.fault is not None})
+    kinds = sorted(
+        {ending.fault.kind.value for ending in endings if ending.fault is not None}
+    )
     missed = f", {never} not" if never else ""
     return f"{max(ending.highest for ending in endings):6.1f} {times} {', '.join(kinds)}{missed}"
 
 
 def measure(name: str, plants: int) -> None:
     bench, levels = LEVELS[name]
-    print(f"{name}: highest temperature of {plants} plants, °C; seconds to zero; by what\n")
+    print(
+        f"{name}: highest temperature of {plants} plants, °C; seconds to zero; by what\n"
+    )
     for level in levels:
         for lie, told in LIES.items():
             cases = [
                 [
-                    lie_to(bench, guard, bench.plant(seed), [level] * (BEGINS + LASTS), told, seed=seed)
+                    lie_to(
+                        bench,
+                        guard,
+                        bench.plant(seed),
+                        [level] * (BEGINS + LASTS),
+                        told,
+                        seed=seed,
+                    )
                     for seed in range(plants)
                     for guard in [make(bench)]
                 ]
@@ -93,9 +106,12 @@ def both(plants: int) -> None:
         for lie, told in LIES.items():
             for channel in (0, 1):
                 runs = [
-                    lie_to_both(whole_kit(seed), references, told, channel, seed) for seed in range(plants)
+                    lie_to_both(whole_kit(seed), references, told, channel, seed)
+                    for seed in range(plants)
                 ]
-                heaters = " | ".join(f"{shown(list(each)):42s}" for each in zip(*runs, strict=True))
+                heaters = " | ".join(
+                    f"{shown(list(each)):42s}" for each in zip(*runs, strict=True)
+                )
                 print(f"{levels} {lie:26s} of {channel + 1} | {heaters}", flush=True)
     latched = limited = 0
     for seed in range(10 * plants):
@@ -110,17 +126,29 @@ def both(plants: int) -> None:
         if endings[0].fault is not None:
             latched += 1
             print(f"hour {seed}: {endings[0].fault}", flush=True)
-    print(f"{latched} of {10 * plants} healthy hours latched a fault; seconds limited: {limited}")
+    print(
+        f"{latched} of {10 * plants} healthy hours latched a fault; seconds limited: {limited}"
+    )
 
 
 def slow(plants: int) -> None:
     """How hot the rig gets; how many plants pass max(set-point + 15, 60) °C, how many are limited."""
-    print(f"{plants} plants: beyond the goal, limited; highest temperature, °C; seconds to zero; by what")
+    print(
+        f"{plants} plants: beyond the goal, limited; highest temperature, °C; seconds to zero; by what"
+    )
     for name, (told, lasts, begins) in SLOW_LIES.items():
         for level in LEVELS["rig"][1]:
             references = [level] * (begins + lasts)
             endings = [
-                lie_to(RIG, RIG.guard(), RIG.plant(seed), references, told, seed=seed, begins=begins)
+                lie_to(
+                    RIG,
+                    RIG.guard(),
+                    RIG.plant(seed),
+                    references,
+                    told,
+                    seed=seed,
+                    begins=begins,
+                )
                 for seed in range(plants)
             ]
             beyond = sum(ending.highest > max(level + 15.0, 60.0) for ending in endings)
@@ -145,14 +173,18 @@ def row(run: LieRun, outcome: LieOutcome) -> dict[str, Any]:
     }
 
 
-def drawn(draw: Callable[[int, float], LieRun], seeds: Iterable[int], spread: float) -> list[dict[str, Any]]:
+def drawn(
+    draw: Callable[[int, float], LieRun], seeds: Iterable[int], spread: float
+) -> list[dict[str, Any]]:
     """The rows of the runs of these seeds."""
     rows = []
     for seed in seeds:
         run = draw(seed, spread)
         outcome = follow(run)
         rows.append(row(run, outcome))
-        if outcome.beyond > 0.0 or (run.lie is None and (outcome.limited or outcome.fault)):
+        if outcome.beyond > 0.0 or (
+            run.lie is None and (outcome.limited or outcome.fault)
+        ):
             print(json.dumps(rows[-1], ensure_ascii=False), flush=True)
     return rows
 
@@ -180,14 +212,20 @@ def all_lies(number: int, seed: int, spread: float) -> Mapping[str, Any]:
 
 def healthy(hours: int, seed: int, spread: float) -> Mapping[str, Any]:
     """Healthy runs of three hours: seconds limited in an hour, and faults, for each kind of room."""
-    rows = drawn(draw_healthy, range(seed, seed + max(1, hours * HOUR // HEALTHY_LASTS)), spread)
+    rows = drawn(
+        draw_healthy, range(seed, seed + max(1, hours * HOUR // HEALTHY_LASTS)), spread
+    )
     summary = {}
     for room in ("", *sorted({row["room"] for row in rows})):
         chosen = [row for row in rows if room in {"", row["room"]}]
         lasted = sum(row["seconds"] for row in chosen) / HOUR
         limited = sum(row["limited"] for row in chosen)
         faults = sum(bool(row["fault"]) for row in chosen)
-        summary[room or "all"] = {"hours": lasted, "limited per hour": limited / lasted, "faults": faults}
+        summary[room or "all"] = {
+            "hours": lasted,
+            "limited per hour": limited / lasted,
+            "faults": faults,
+        }
     return {"spread": spread, "summary": summary, "runs": rows}
 
 
@@ -196,7 +234,9 @@ def main() -> None:
     parser.add_argument("what", choices=(*LEVELS, "both", "slow", "all", "healthy"))
     parser.add_argument("number", type=int)
     parser.add_argument("--seed", type=int, default=0, help="the first seed")
-    parser.add_argument("--spread", type=float, default=0.25, help="by how much parameters differ")
+    parser.add_argument(
+        "--spread", type=float, default=0.25, help="by how much parameters differ"
+    )
     parser.add_argument("--json", type=Path, help="where every run is written")
     asked = parser.parse_args()
     if asked.what == "slow":
@@ -210,7 +250,9 @@ def main() -> None:
         result = draw(asked.number, asked.seed, asked.spread)
         print(json.dumps(result["summary"], indent=2, ensure_ascii=False))
         if asked.json is not None:
-            asked.json.write_text(json.dumps(result, indent=1, ensure_ascii=False), encoding="utf-8")
+            asked.json.write_text(
+                json.dumps(result, indent=1, ensure_ascii=False), encoding="utf-8"
+            )
 
 
 if __name__ == "__main__":

@@ -39,7 +39,8 @@ def measure(kind: str, number: int) -> str:
     slow = 0
     signal.signal(signal.SIGPROF, _give_up)
     with tempfile.TemporaryDirectory() as folder:
-        deque(readings(kind, 30, 4, Path(folder)), 0)  # what is compiled or imported first does not count
+        # what is compiled or imported first does not count
+        deque(readings(kind, 30, 4, Path(folder)), 0)
         drawn = readings(kind, number, 5, Path(folder))
         for _ in range(number):
             begin = time.process_time()
@@ -49,7 +50,9 @@ def measure(kind: str, number: int) -> str:
             slowest = max(slowest, time.process_time() - begin)
             accepted += reading.accepted
             slow += isinstance(reading.bug, _TooLongError)
-            tracebacks += reading.bug is not None and not isinstance(reading.bug, _TooLongError)
+            tracebacks += reading.bug is not None and not isinstance(
+                reading.bug, _TooLongError
+            )
     return f"{kind:10} {number:6} {accepted:8} {tracebacks:10} {slow:6} {slowest:9.2f}"
 
 

@@ -45,7 +45,9 @@ VOLTS_PER_COUNT = START["supply"] / GAINS.high
 KP, KI, KD, KB, PERIOD, LIMIT = *GAINS.code[5:9], GAINS.period, GAINS.high
 STEPS = 4
 """Runge–Kutta steps of the peers in each tick."""
-LOW, HIGH = (np.array([MODEL.declared[name].bounds[end] for name in FREE]) for end in (0, 1))
+LOW, HIGH = (
+    np.array([MODEL.declared[name].bounds[end] for name in FREE]) for end in (0, 1)
+)
 SCALE = np.array([MODEL.declared[name].scale for name in FREE])
 FIRST = np.array([START[name] for name in FREE])
 
@@ -56,15 +58,21 @@ def run(quick: bool) -> list[Row]:
     for samples, target in ((500, 5e-3),) if quick else ((500, 5e-3), (3600, 30e-3)):
         rows += _one_fit(samples, repeats, target, slow=not quick and samples == 500)
     rows += _whole_match(repeats)
-    return rows + _growth((600, 1200) if quick else (600, 1200, 3600, 12_000, 36_000), repeats)
+    return rows + _growth(
+        (600, 1200) if quick else (600, 1200, 3600, 12_000, 36_000), repeats
+    )
 
 
 def record(samples: int, seed: int = 7) -> Window:
     """A window of the rig: a new level every 240 samples, measured by a noisy camera."""
     count = -(-samples // 240)
-    reference = np.repeat([LEVELS[k % len(LEVELS)] for k in range(count)], 240)[:samples].astype(np.float64)
+    reference = np.repeat([LEVELS[k % len(LEVELS)] for k in range(count)], 240)[
+        :samples
+    ].astype(np.float64)
     camera = Sensor(noise=NOISE.output).realise(samples, GAINS.period, seed)
-    response = simulate_closed_loop(TRUTH, reference, states=begin(TRUTH, LEVELS[0]), sensor=camera)
+    response = simulate_closed_loop(
+        TRUTH, reference, states=begin(TRUTH, LEVELS[0]), sensor=camera
+    )
     return Window(reference, response.output, response.input)
 
 
@@ -94,13 +102,19 @@ def _one_fit(samples: int, repeats: int, target: float, *, slow: bool) -> list[R
         linearise = _casadi_residuals(casadi, problem)
         cases["CasADi, Gauss–Newton"] = lambda: _gauss_newton(linearise)
     if slow:
-        cases["solve_ivp, least_squares"] = lambda: _by_differences(problem, _solve_ivp_outputs)
+        cases["solve_ivp, least_squares"] = lambda: _by_differences(
+            problem, _solve_ivp_outputs
+        )
     timings = measure_side_by_side(cases, repeats, patience=60.0)
     return rows_of(
         "matching",
         f"one fit, {samples} samples",
         timings,
-        targets={"twinmatch": target, "CasADi, Gauss–Newton": 20, "solve_ivp, least_squares": 300},
+        targets={
+            "twinmatch": target,
+            "CasADi, Gauss–Newton": 20,
+            "solve_ivp, least_squares": 300,
+        },
         notes=_found(timings),
     )
 
@@ -118,7 +132,9 @@ def _whole_match(repeats: int) -> list[Row]:
     rows = []
     for samples in (300, 720):
         window = record(samples)
-        timings = measure_side_by_side({"twinmatch": partial(match, window, start=START)}, repeats)
+        timings = measure_side_by_side(
+            {"twinmatch": partial(match, window, start=START)}, repeats
+        )
         case = f"a match with intervals and suggestion, {samples} samples"
         rows += rows_of("matching", case, timings, targets={"twinmatch": 20e-3})
     return rows
@@ -126,7 +142,10 @@ def _whole_match(repeats: int) -> list[Row]:
 
 def _growth(sizes: tuple[int, ...], repeats: int) -> list[Row]:
     windows = {size: record(size) for size in sizes}
-    cases = {str(size): (lambda window=window: fit(window)) for size, window in windows.items()}
+    cases = {
+        str(size): (lambda window=window: fit(window))
+        for size, window in windows.items()
+    }
     timings = measure_side_by_side(cases, repeats)
     smallest = timings[str(sizes[0])]
     rows = []
@@ -135,11 +154,15 @@ def _growth(sizes: tuple[int, ...], repeats: int) -> list[Row]:
         more = timing.ratio_to(smallest) or float("nan")
         note = f"{more:.1f} times the time for {size / sizes[0]:g} times the samples"
         case = f"one fit, growth, {size} samples"
-        rows += rows_of("matching", case, {"twinmatch": timing}, notes={"twinmatch": note})
+        rows += rows_of(
+            "matching", case, {"twinmatch": timing}, notes={"twinmatch": note}
+        )
     return rows
 
 
-def _by_differences(problem: Problem, outputs: Callable[[Problem, Array], tuple[Array, Array]]) -> Array:
+def _by_differences(
+    problem: Problem, outputs: Callable[[Problem, Array], tuple[Array, Array]]
+) -> Array:
     def residuals(values: Array) -> Array:
         temperature, pwm = outputs(problem, values)
         return np.concatenate(
@@ -149,7 +172,9 @@ def _by_differences(problem: Problem, outputs: Callable[[Problem, Array], tuple[
             ]
         )
 
-    return np.asarray(least_squares(residuals, FIRST, bounds=(LOW, HIGH), x_scale=SCALE, ftol=1e-8).x)
+    return np.asarray(
+        least_squares(residuals, FIRST, bounds=(LOW, HIGH), x_scale=SCALE, ftol=1e-8).x
+    )
 
 
 def _numba_outputs(problem: Problem, values: Array) -> tuple[Array, Array]:
@@ -168,7 +193,11 @@ def _numba_outputs(problem: Problem, values: Array) -> tuple[Array, Array]:
 def _rate(values: Array, rig: Array, volts: float, plate: float) -> float:
     current = (-volts - values[0] * (rig[3] - plate)) / rig[1]
     current = min(max(current, -rig[2]), rig[2])
-    drawn = values[0] * plate * current - 0.5 * current * current * rig[0] + values[1] * (plate - rig[3])
+    drawn = (
+        values[0] * plate * current
+        - 0.5 * current * current * rig[0]
+        + values[1] * (plate - rig[3])
+    )
     return -drawn / values[2]
 
 
@@ -225,12 +254,21 @@ def _solve_ivp_outputs(problem: Problem, values: Array) -> tuple[Array, Array]:
         previous = error
         temperature.append(plate - KELVIN)
         pwm.append(u)
-        done = solve_ivp(rate, (0.0, PERIOD), [plate], args=(u * VOLTS_PER_COUNT,), rtol=1e-7, atol=1e-7)
+        done = solve_ivp(
+            rate,
+            (0.0, PERIOD),
+            [plate],
+            args=(u * VOLTS_PER_COUNT,),
+            rtol=1e-7,
+            atol=1e-7,
+        )
         plate = float(done.y[0, -1])
     return np.array(temperature), np.array(pwm)
 
 
-def _casadi_residuals(casadi: Any, problem: Problem) -> Callable[[Array], tuple[Array, Array]]:
+def _casadi_residuals(
+    casadi: Any, problem: Problem
+) -> Callable[[Array], tuple[Array, Array]]:
     """Residuals and their Jacobian from one graph: a tick, accumulated over the window."""
     state = casadi.SX.sym("x", 3)
     reference = casadi.SX.sym("r")
@@ -246,7 +284,10 @@ def _casadi_residuals(casadi: Any, problem: Problem) -> Callable[[Array], tuple[
         current = (-u * VOLTS_PER_COUNT - values[0] * (AMBIENT - now)) / LOOP_RESISTANCE
         current = casadi.fmin(casadi.fmax(current, -CURRENT_LIMIT), CURRENT_LIMIT)
         half_joule = 0.5 * current**2 * RESISTANCE
-        return -(values[0] * now * current - half_joule + values[1] * (now - AMBIENT)) / values[2]
+        return (
+            -(values[0] * now * current - half_joule + values[1] * (now - AMBIENT))
+            / values[2]
+        )
 
     h = PERIOD / STEPS
     after = plate
@@ -256,7 +297,9 @@ def _casadi_residuals(casadi: Any, problem: Problem) -> Callable[[Array], tuple[
         k3 = rate(after + 0.5 * h * k2)
         k4 = rate(after + h * k3)
         after = after + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    following = casadi.vertcat(after, integral + PERIOD * (KI * error + KB * (u - wanted)), error)
+    following = casadi.vertcat(
+        after, integral + PERIOD * (KI * error + KB * (u - wanted)), error
+    )
     outputs = casadi.vertcat(
         (plate - KELVIN) / NOISE.output,
         u / NOISE.input,
@@ -267,7 +310,9 @@ def _casadi_residuals(casadi: Any, problem: Problem) -> Callable[[Array], tuple[
     free = casadi.MX.sym("p", 3)
     integral, previous = problem.experiment.controller.tolist()
     start = casadi.DM([float(problem.window.output[2]) + KELVIN, integral, previous])
-    _, simulated = loop(start, problem.window.reference[2:].reshape(1, -1), casadi.repmat(free, 1, size))
+    _, simulated = loop(
+        start, problem.window.reference[2:].reshape(1, -1), casadi.repmat(free, 1, size)
+    )
     measured = problem.measured * problem.weights
     left = casadi.vec(casadi.DM(measured) - simulated)
     both = casadi.Function("both", [free], [left, casadi.jacobian(left, free)])
@@ -288,7 +333,10 @@ def _gauss_newton(linearise: Callable[[Array], tuple[Array, Array]]) -> Array:
         scaled = jacobian * SCALE
         hessian = scaled.T @ scaled
         gradient = scaled.T @ residuals
-        step = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient) * SCALE
+        step = (
+            -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
+            * SCALE
+        )
         tried = np.clip(values + step, LOW, HIGH)
         there, slopes = linearise(tried)
         before = residuals @ residuals

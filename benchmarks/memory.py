@@ -21,9 +21,17 @@ def run(quick: bool) -> list[Row]:
     rigs, sessions = (3, 20) if quick else (100, 1000)
     with tempfile.TemporaryDirectory() as folder:
         memory = Memory(Path(folder) / "rig.sqlite")
-        memory.add([lesson(n, name) for n in range(sessions) for name in ("paper", "rich", "other")])
+        memory.add(
+            [
+                lesson(n, name)
+                for n in range(sessions)
+                for name in ("paper", "rich", "other")
+            ]
+        )
         timings = measure_side_by_side({"twinmatch": memory.lessons})
-        rows = rows_of("memory", f"load {sessions} sessions", timings, targets={"twinmatch": 0.2})
+        rows = rows_of(
+            "memory", f"load {sessions} sessions", timings, targets={"twinmatch": 0.2}
+        )
     return [*rows, *(_told(kind, rigs) for kind in KINDS)]
 
 
@@ -35,7 +43,11 @@ def _told(kind: str, rigs: int) -> Row:
     looks = sum(one.looks for one in told)
     seconds = (time.perf_counter() - start) / looks
     said = f"false names after {sum(one.false for one in told)} of {looks} sessions"
-    named = [(rig, one) for rig, one in zip(lived, told, strict=True) if one.first is not None]
+    named = [
+        (rig, one)
+        for rig, one in zip(lived, told, strict=True)
+        if one.first is not None
+    ]
     if kind == "step":
         soon = sum((one.first or 0) - rig.since <= 2 for rig, one in named)
         size = np.median([abs(abs(one.size) - 0.1) for _, one in named])
@@ -43,7 +55,10 @@ def _told(kind: str, rigs: int) -> Row:
     if kind == "drift":
         soon, called = (
             sum(of)
-            for of in zip(*(((one.first or 0) <= 6, one.kind == "trend") for _, one in named), strict=True)
+            for of in zip(
+                *(((one.first or 0) <= 6, one.kind == "trend") for _, one in named),
+                strict=True,
+            )
         )
         said = f"{len(named)} named, {soon} by the sixth session, {called} as a trend at last; {said}"
     return Row("memory", f"{rigs} rigs, {kind}", "twinmatch", seconds, note=said)

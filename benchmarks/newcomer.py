@@ -35,9 +35,13 @@ def main(arguments: Sequence[str]) -> None:
         with tempfile.TemporaryDirectory() as folder:
             led = lead(plant, Path(folder), seed=1000 * k)
         all_led.append(led)
-        print(f"{k + 1:2} {_words(led)}; {time.perf_counter() - began:.0f} s", flush=True)
+        print(
+            f"{k + 1:2} {_words(led)}; {time.perf_counter() - began:.0f} s", flush=True
+        )
     led_there = sum(led.trusted and led.kept and led.error < SETTLED for led in all_led)
-    print(f"{led_there} of {number}: trusted, in the range, settled by the PID, within three commands")
+    print(
+        f"{led_there} of {number}: trusted, in the range, settled by the PID, within three commands"
+    )
 
 
 def _words(led: Led) -> str:

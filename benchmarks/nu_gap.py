@@ -48,11 +48,15 @@ def _one_output(order: int, repeats: int, *, accurate: bool) -> list[Row]:
     symbols = [GraphSymbol.of_transfer_functions([m], 1.0) for m in models]
     prepared = {"twinmatch": lambda: [nu_gap(symbols[i], symbols[j]) for i, j in pairs]}
     whole: dict[str, Any] = {
-        "twinmatch": lambda: nu_gap_matrix([GraphSymbol.of_transfer_functions([m], 1.0) for m in models])
+        "twinmatch": lambda: nu_gap_matrix(
+            [GraphSymbol.of_transfer_functions([m], 1.0) for m in models]
+        )
     }
     if (nugap := peer("nugap")) is not None:
         systems = [nugap.tf(n, d, 1.0) for n, d in models]
-        prepared["nugap"] = lambda: [nugap.nu_gap(systems[i], systems[j]) for i, j in pairs]
+        prepared["nugap"] = lambda: [
+            nugap.nu_gap(systems[i], systems[j]) for i, j in pairs
+        ]
 
         def peers_whole() -> list[float]:
             again = [nugap.tf(n, d, 1.0) for n, d in models]
@@ -64,11 +68,23 @@ def _one_output(order: int, repeats: int, *, accurate: bool) -> list[Row]:
     if accurate:
         exact = [_reference(models[i], models[j]) for i, j in pairs]
         for name, timing in timings.items():
-            errors = [abs(v - e) / e for v, e in zip(timing.result or [], exact, strict=False) if e != 1]
-            notes[name] = f"largest relative error {max(map(float, errors), default=float('nan')):.1e}"
+            errors = [
+                abs(v - e) / e
+                for v, e in zip(timing.result or [], exact, strict=False)
+                if e != 1
+            ]
+            notes[name] = (
+                f"largest relative error {max(map(float, errors), default=float('nan')):.1e}"
+            )
     count = len(pairs)
     case = f"{count} pairs, one output, order {order}"
-    rows = rows_of("nu_gap", case, timings, targets={"twinmatch": count * 200e-6, "nugap": 5}, notes=notes)
+    rows = rows_of(
+        "nu_gap",
+        case,
+        timings,
+        targets={"twinmatch": count * 200e-6, "nugap": 5},
+        notes=notes,
+    )
     case = f"{PAIRS} models from coefficients to all gaps, one output, order {order}"
     return rows + rows_of("nu_gap", case, measure_side_by_side(whole, repeats))
 
@@ -77,10 +93,14 @@ def _two_outputs(order: int, repeats: int) -> list[Row]:
     """The work of a verdict: eight candidates, set-point to temperature and control."""
     rng = np.random.default_rng(order)
     symbols = [
-        GraphSymbol.of_transfer_functions([_model(rng, order, 1.0), _model(rng, order, 45.0)], 1.0)
+        GraphSymbol.of_transfer_functions(
+            [_model(rng, order, 1.0), _model(rng, order, 45.0)], 1.0
+        )
         for _ in range(8)
     ]
-    timings = measure_side_by_side({"twinmatch": lambda: nu_gap_matrix(symbols)}, repeats)
+    timings = measure_side_by_side(
+        {"twinmatch": lambda: nu_gap_matrix(symbols)}, repeats
+    )
     case = f"28 pairs of a family of eight, two outputs, order {order}"
     return rows_of("nu_gap", case, timings, targets={"twinmatch": 28 * 200e-6})
 
@@ -90,7 +110,10 @@ def _loop(repeats: int) -> list[Row]:
     z = control.tf([1, 0], [1], 1.0)
     plant = 0.4 / (z - 0.97)
     pid = 1 + 0.038 / (z - 1) + 0.17 * (z - 1) / z
-    symbols = [GraphSymbol.of_polynomials(t.den_array[0, 0], [t.num_array[0, 0]], 1.0) for t in (plant, pid)]
+    symbols = [
+        GraphSymbol.of_polynomials(t.den_array[0, 0], [t.num_array[0, 0]], 1.0)
+        for t in (plant, pid)
+    ]
     p = control.ss(plant)
     c = control.ss(pid)
     a = np.block([[p.A - p.B @ c.D @ p.C, -p.B @ c.C], [c.B @ p.C, c.A]])
@@ -105,7 +128,9 @@ def _loop(repeats: int) -> list[Row]:
         repeats,
     )
     notes = {
-        name: f"b = {timing.result:.9f}" for name, timing in timings.items() if timing.result is not None
+        name: f"b = {timing.result:.9f}"
+        for name, timing in timings.items()
+        if timing.result is not None
     }
     return rows_of("nu_gap", "stability margin of a PID loop", timings, notes=notes)
 
@@ -115,19 +140,27 @@ def _matrices(repeats: int) -> list[Row]:
     exact way; and the margin, beside 1/‖·‖∞ in python-control."""
     rng = np.random.default_rng(7)
     halves = [[_model(rng, 2, 1.0) for _ in range(2)] for _ in range(2)]
-    symbols = [[GraphSymbol.of_transfer_functions([m], 1.0) for m in pair] for pair in halves]
+    symbols = [
+        [GraphSymbol.of_transfer_functions([m], 1.0) for m in pair] for pair in halves
+    ]
     plants = [
-        StateSpace.of(control.append(*(control.ss(control.tf(*model, 1.0)) for model in pair)))
+        StateSpace.of(
+            control.append(*(control.ss(control.tf(*model, 1.0)) for model in pair))
+        )
         for pair in halves
     ]
     gaps = measure_side_by_side(
         {
             "twinmatch": lambda: matrix_nu_gap(*plants),
-            "twinmatch, exact": lambda: max(nu_gap(a, b) for a, b in zip(*symbols, strict=True)),
+            "twinmatch, exact": lambda: max(
+                nu_gap(a, b) for a, b in zip(*symbols, strict=True)
+            ),
         },
         repeats,
     )
-    controller = StateSpace(np.eye(2), np.eye(2), 0.01 * np.eye(2), 0.3 * np.eye(2), 1.0)
+    controller = StateSpace(
+        np.eye(2), np.eye(2), 0.01 * np.eye(2), 0.3 * np.eye(2), 1.0
+    )
     loop = closed_loop(plants[0], controller)
     whole = control.ss(loop.A, loop.B, loop.C, loop.D, 1.0) if loop else None
     margins = measure_side_by_side(
@@ -140,9 +173,16 @@ def _matrices(repeats: int) -> list[Row]:
     rows = []
     for case, timings in (("ν-gap", gaps), ("margin", margins)):
         notes = {
-            name: f"{timing.result:.10f}" for name, timing in timings.items() if timing.result is not None
+            name: f"{timing.result:.10f}"
+            for name, timing in timings.items()
+            if timing.result is not None
         }
-        rows += rows_of("nu_gap", f"{case} of two inputs and outputs, four states", timings, notes=notes)
+        rows += rows_of(
+            "nu_gap",
+            f"{case} of two inputs and outputs, four states",
+            timings,
+            notes=notes,
+        )
     return rows
 
 
@@ -199,7 +239,10 @@ def _winding_holds(exact: list[list[list[Any]]]) -> bool:
         for i, x in enumerate(first):
             for j, y in enumerate(second):
                 total[i + j] += x * y
-    return bool(sum(abs(r) < 1 for r in mp.polyroots(total, maxsteps=500, extraprec=300)) == len(d1) - 1)
+    return bool(
+        sum(abs(r) < 1 for r in mp.polyroots(total, maxsteps=500, extraprec=300))
+        == len(d1) - 1
+    )
 
 
 if __name__ == "__main__":

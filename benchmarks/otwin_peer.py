@@ -83,7 +83,9 @@ class Recording:
         table = read_table(self.path)
         given = with_plant_names(table, self.plant, parse_map(self.columns))
         mapped = map_samples(table, given, self.plant)
-        return session_of(self.path, mapped.samples, plant=self.plant.name, has_reference=False)
+        return session_of(
+            self.path, mapped.samples, plant=self.plant.name, has_reference=False
+        )
 
 
 def _thermoelectric(model: Any, expr: ModuleType, zero: float) -> _Terms:
@@ -99,7 +101,9 @@ def _thermoelectric(model: Any, expr: ModuleType, zero: float) -> _Terms:
         "plate.heat": joule
         - seebeck * (plate + zero) * current
         - command,  # the component's own heat is not there
-        "sink.heat": joule + seebeck * (sink + zero) * current + model.parameter("load"),
+        "sink.heat": joule
+        + seebeck * (sink + zero) * current
+        + model.parameter("load"),
     }, {"seebeck": 0.06, "load": 0.0}
 
 
@@ -141,7 +145,10 @@ def recordings() -> list[Recording]:
     kits = OTHERS / "tclab"
     box = OTHERS / "incubator" / "exp2_ht20_hg30.csv"
     return [
-        *(Recording(f"rig {k}", path=RECORDINGS / f"BMData{k}_022722.mat", **rig) for k in (1, 9)),  # type: ignore[arg-type]
+        *(
+            Recording(f"rig {k}", path=RECORDINGS / f"BMData{k}_022722.mat", **rig)  # type: ignore[arg-type]
+            for k in (1, 9)
+        ),
         Recording(
             "one heater",
             path=kits / "one_heater_600s.csv",
@@ -156,9 +163,18 @@ def recordings() -> list[Recording]:
             "two heaters",
             path=kits / "two_heaters_600s.csv",
             masses={"heater": 2.0, "sensor": 0.1, "other": 2.0},
-            links={**_HEATER, "between": ("heater", "other", 0.005), "other_loss": ("other", "room", 0.006)},
+            links={
+                **_HEATER,
+                "between": ("heater", "other", 0.005),
+                "other_loss": ("other", "room", 0.006),
+            },
             heated={"heater": 0.01, "other": 0.0075},
-            free=("heater.capacity", "lag.conductance", "loss.conductance", "between.conductance"),
+            free=(
+                "heater.capacity",
+                "lag.conductance",
+                "loss.conductance",
+                "between.conductance",
+            ),
             columns=(
                 "time=Time (sec)",
                 "output=Temperature 1 (degC)",
@@ -173,10 +189,19 @@ def recordings() -> list[Recording]:
             box,
             60.0,
             masses={"bed": 240.0, "air": 177.6, "box": 1e4},
-            links={"plate": ("bed", "air", 2.3), "loss": ("air", "box", 0.8), "wall": ("box", "room", 1.0)},
+            links={
+                "plate": ("bed", "air", 2.3),
+                "loss": ("air", "box", 0.8),
+                "wall": ("box", "room", 1.0),
+            },
             heated={"bed": 127.1},
             seen="air",
-            free=("bed.capacity", "plate.conductance", "loss.conductance", "box.capacity"),
+            free=(
+                "bed.capacity",
+                "plate.conductance",
+                "loss.conductance",
+                "box.capacity",
+            ),
             columns=("time=time", "output=t2, t3", "input=heater_on", "room=t1"),
         ),
     ]
@@ -202,7 +227,7 @@ class OtwinTwin:
         self.at = self.made = 0
 
     def _network(self) -> Any:
-        import otwin  # noqa: PLC0415 — a peer
+        import otwin  # noqa: PLC0415
         from otwin.components.thermal import (  # noqa: PLC0415
             Ambient,
             Convection,
@@ -212,10 +237,14 @@ class OtwinTwin:
 
         of = self.of
         zero = self.zero + KELVIN
-        masses = {n: ThermalMass(c, temperature=0.0, name=n) for n, c in of.masses.items()}
+        masses = {
+            n: ThermalMass(c, temperature=0.0, name=n) for n, c in of.masses.items()
+        }
         held = None if self.measured else 0.0 if of.room is None else of.room - zero
         room = Ambient(held, name="room")
-        ports: dict[str, list[Any]] = {n: [mass.port] for n, mass in masses.items()} | {"room": [room.port]}
+        ports: dict[str, list[Any]] = {n: [mass.port] for n, mass in masses.items()} | {
+            "room": [room.port]
+        }
         for name, (one, other, conductance) in of.links.items():
             link = Convection(conductance, name=name)
             ports[one].append(link.a)
@@ -240,7 +269,10 @@ class OtwinTwin:
         while self.at < k:
             self._step(self.filter, self.at + 1)
             self.at += 1
-        return self._run(self.model, self.filter.x, slice(k, k + count + 1))[1:] + self.zero
+        return (
+            self._run(self.model, self.filter.x, slice(k, k + count + 1))[1:]
+            + self.zero
+        )
 
     def _run(self, model: Any, states: FloatArray, part: slice) -> FloatArray:
         run = model.simulate(t=self.time[part], x0=states, inputs=self.u[part])
@@ -254,12 +286,18 @@ class OtwinTwin:
         """
         start = self.drawn.parameters
         bent = np.array([start[name] > 0.0 for name in self.of.free])
-        first = np.array([np.log(start[n]) if start[n] > 0.0 else start[n] for n in self.of.free])
-        own = np.array([not name.startswith(f"{self.of.seen}.") for name in self.drawn.state_names])
+        first = np.array(
+            [np.log(start[n]) if start[n] > 0.0 else start[n] for n in self.of.free]
+        )
+        own = np.array(
+            [not name.startswith(f"{self.of.seen}.") for name in self.drawn.state_names]
+        )
 
         def taken(z: FloatArray) -> tuple[Any, FloatArray]:
             found = np.where(bent, np.exp(z[: bent.size]), z[: bent.size])
-            model = self.drawn.with_parameters(dict(zip(self.of.free, found, strict=True)))
+            model = self.drawn.with_parameters(
+                dict(zip(self.of.free, found, strict=True))
+            )
             begin = np.zeros(own.size)
             begin[own] = z[bent.size :]
             return model, begin * self._capacities(model)
@@ -270,7 +308,9 @@ class OtwinTwin:
 
         middle = np.append(first, np.zeros(own.sum()))
         wide = np.append(np.where(bent, np.log(30.0), 30.0), np.full(own.sum(), 60.0))
-        result = least_squares(off, middle, bounds=(middle - wide, middle + wide), max_nfev=60)
+        result = least_squares(
+            off, middle, bounds=(middle - wide, middle + wide), max_nfev=60
+        )
         self.model, states = taken(result.x)
         found = []
         self.at = k
@@ -282,7 +322,9 @@ class OtwinTwin:
 
     def _capacities(self, model: Any) -> FloatArray:
         """Of the states, J/K."""
-        return np.array([model.parameters[f"{n.split('.')[0]}.capacity"] for n in model.state_names])
+        return np.array(
+            [model.parameters[f"{n.split('.')[0]}.capacity"] for n in model.state_names]
+        )
 
     def _filter(self, drift: float, states: FloatArray) -> Any:
         from otwin.estimate import ExtendedKalmanFilter  # noqa: PLC0415
@@ -290,7 +332,10 @@ class OtwinTwin:
         model = self.model
         noise = self.of.plant.output.noise
         capacities = self._capacities(model)
-        seen = np.array([[n.startswith(f"{self.of.seen}.") for n in model.state_names]]) / capacities
+        seen = (
+            np.array([[n.startswith(f"{self.of.seen}.") for n in model.state_names]])
+            / capacities
+        )
         return ExtendedKalmanFilter(
             model,
             Q=np.diag((capacities * drift) ** 2),
@@ -322,7 +367,9 @@ def forecasts_of(of: Recording, window: Window) -> Iterator[Forecast]:
         count = min(longest, size - 1 - k)
         mean = twin.forecast(k, count)
         if k >= SCORED * size:
-            low, high = _band([error[: k - origin] for origin, error in errors], count).apply(mean)
+            low, high = _band(
+                [error[: k - origin] for origin, error in errors], count
+            ).apply(mean)
             yield _forecast(window, k, Band(mean, low, high))
         errors.append((k, window.output[k + 1 : k + 1 + count] - mean))
 
@@ -333,7 +380,9 @@ def _band(errors: Sequence[FloatArray], count: int) -> Any:
 
     ahead = [np.arange(1, each.size + 1) for each in errors]
     try:
-        return horizon_conformal(np.concatenate(errors), np.concatenate(ahead), CONFIDENCE, count)
+        return horizon_conformal(
+            np.concatenate(errors), np.concatenate(ahead), CONFIDENCE, count
+        )
     except ValueError:
         return split_conformal(np.concatenate(errors), CONFIDENCE)
 
@@ -360,7 +409,10 @@ def of_otwin(of: Recording, window: Window) -> list[Marked]:
         came = window.part(forecast.sample + 1, forecast.sample + forecast.time.size)
         over = [horizon for horizon in HORIZONS if horizon <= forecast.time[-1]]
         results = zip(over, marks(forecast, came, over, of.plant), strict=True)
-        marked += [Marked(of.title, forecast.sample, horizon, "otwin", each) for horizon, each in results]
+        marked += [
+            Marked(of.title, forecast.sample, horizon, "otwin", each)
+            for horizon, each in results
+        ]
     return marked
 
 
@@ -369,14 +421,23 @@ def of_twinmatch(of: Recording, session: Session) -> list[Marked]:
     terms = terms_from_files(session)
     driven = terms._replace(settings=replace(terms.settings, law=None))
     (tested,) = backtest(session, driven, Choices(of.every, HORIZONS, ()))
-    return [replace(one, who="twinmatch") for one in tested.marked if one.who == "leader"]
+    return [
+        replace(one, who="twinmatch") for one in tested.marked if one.who == "leader"
+    ]
 
 
 def _compared(found: Mapping[str, Sequence[Marked]]) -> list[Card]:
     """Cards of the origins at which both forecast."""
     places = [{(one.sample, one.horizon) for one in held} for held in found.values()]
     both = set.intersection(*places)
-    return cards([one for held in found.values() for one in held if (one.sample, one.horizon) in both])
+    return cards(
+        [
+            one
+            for held in found.values()
+            for one in held
+            if (one.sample, one.horizon) in both
+        ]
+    )
 
 
 def _note(held: Sequence[Card], plant: type[Plant]) -> str:
@@ -390,11 +451,21 @@ def _note(held: Sequence[Card], plant: type[Plant]) -> str:
 
 def run(quick: bool) -> list[Row]:
     if peer("otwin") is None:
-        raise SystemExit("otwin_peer: otwin is not installed; run `make bench`, or pip install otwin==2.0.1")
+        raise SystemExit(
+            "otwin_peer: otwin is not installed; run `make bench`, or pip install otwin==2.0.1"
+        )
     rows = []
     for of in recordings()[2:3] if quick else recordings():
         if not of.path.is_file():
-            rows.append(Row("otwin_peer", of.title, "twinmatch", float("nan"), note=f"no {of.path}"))
+            rows.append(
+                Row(
+                    "otwin_peer",
+                    of.title,
+                    "twinmatch",
+                    float("nan"),
+                    note=f"no {of.path}",
+                )
+            )
             continue
         session = of.read()
         (window,) = stretches(session.samples, session.period)
@@ -403,9 +474,13 @@ def run(quick: bool) -> list[Row]:
             "otwin": partial(of_otwin, of, window),
         }
         timings = measure_side_by_side(cases, 1 if quick else 3, patience=150.0)
-        found = {name: timing.result for name, timing in timings.items() if timing.result}
+        found = {
+            name: timing.result for name, timing in timings.items() if timing.result
+        }
         compared = _compared(found) if len(found) == len(cases) else []
-        notes = {who: _note([c for c in compared if c.who == who], of.plant) for who in cases}
+        notes = {
+            who: _note([c for c in compared if c.who == who], of.plant) for who in cases
+        }
         rows += rows_of("otwin_peer", of.title, timings, notes=notes)
     return rows
 

@@ -58,7 +58,13 @@ def run_on(samples: Sequence[Sample], quick: bool) -> list[Row]:
     found: Judgement = timings["twinmatch"].result
     note = f"{len(found.verdicts)} verdicts, {len(found.matches)} matches"
     target = {"twinmatch": HOUR_TARGET * took / HOUR}
-    return rows_of("replay", f"{took / 60:.0f} minutes", timings, targets=target, notes={"twinmatch": note})
+    return rows_of(
+        "replay",
+        f"{took / 60:.0f} minutes",
+        timings,
+        targets=target,
+        notes={"twinmatch": note},
+    )
 
 
 def _growth(quick: bool) -> list[Row]:
@@ -69,15 +75,28 @@ def _growth(quick: bool) -> list[Row]:
     for length in lengths:
         samples = recorded(length)
         calls[length] = lambda samples=samples: judge_samples("run", samples, settings)
-    timings = measure_side_by_side({str(n): c for n, c in calls.items()}, 1 if quick else 3, patience=240.0)
+    timings = measure_side_by_side(
+        {str(n): c for n, c in calls.items()}, 1 if quick else 3, patience=240.0
+    )
     return [
-        Row("replay", f"{name} samples", "twinmatch", timing.median, None, len(timing.seconds), None, note)
+        Row(
+            "replay",
+            f"{name} samples",
+            "twinmatch",
+            timing.median,
+            None,
+            len(timing.seconds),
+            None,
+            note,
+        )
         for name, timing in timings.items()
         for note in [f"{timing.median / int(name) * HOUR:.2f} s per hour"]
     ]
 
 
-def _full_verdict(ready: Discriminator, sample: Sample, report: MatchReport, quick: bool) -> list[Row]:
+def _full_verdict(
+    ready: Discriminator, sample: Sample, report: MatchReport, quick: bool
+) -> list[Row]:
     """A full verdict: eight candidates' models of four orders and two outputs, all scores and ν-gaps."""
 
     def judge() -> tuple[Verdict, ...]:
@@ -85,14 +104,24 @@ def _full_verdict(ready: Discriminator, sample: Sample, report: MatchReport, qui
         discriminator.push_sample(sample)
         return discriminator.push_match(report).verdicts
 
-    timings = measure_side_by_side({"twinmatch": judge}, 1 if quick else 5, patience=120.0)
+    timings = measure_side_by_side(
+        {"twinmatch": judge}, 1 if quick else 5, patience=120.0
+    )
     verdict = timings["twinmatch"].result[-1]
     case = f"{len(verdict.modelled)} candidates × {len(verdict.modelled[0].orders)} orders × 2 outputs"
     note = f"on {verdict.last - verdict.first + 1} samples"
-    return rows_of("replay", case, timings, targets={"twinmatch": VERDICT_TARGET}, notes={"twinmatch": note})
+    return rows_of(
+        "replay",
+        case,
+        timings,
+        targets={"twinmatch": VERDICT_TARGET},
+        notes={"twinmatch": note},
+    )
 
 
-def _one_sample(ready: Discriminator, sample: Sample, report: MatchReport, quick: bool) -> list[Row]:
+def _one_sample(
+    ready: Discriminator, sample: Sample, report: MatchReport, quick: bool
+) -> list[Row]:
     """A sample between two triggers, until the outlooks of all candidates are there; `ready` moves on."""
     ready.push_sample(sample)
     ready.push_match(report)
@@ -103,7 +132,9 @@ def _one_sample(ready: Discriminator, sample: Sample, report: MatchReport, quick
         ready.forecaster.push(replace(sample, index=next(following)))
         return len(ready.forecaster.snapshot().outlooks)
 
-    timings = measure_side_by_side({"twinmatch": push}, 20 if quick else 300, keeping=True)
+    timings = measure_side_by_side(
+        {"twinmatch": push}, 20 if quick else 300, keeping=True
+    )
     case = f"one sample live, {count} candidates forecast"
     return rows_of("replay", case, timings, targets={"twinmatch": SAMPLE_TARGET})
 
@@ -125,8 +156,15 @@ def _before_a_verdict() -> tuple[Discriminator, Sample, MatchReport]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small cases and few rounds: does it run?")
-    parser.add_argument("--recording", type=Path, metavar="FILE", help="judge this session or recording only")
+    parser.add_argument(
+        "--quick", action="store_true", help="small cases and few rounds: does it run?"
+    )
+    parser.add_argument(
+        "--recording",
+        type=Path,
+        metavar="FILE",
+        help="judge this session or recording only",
+    )
     options = parser.parse_args()
     if options.recording is None:
         rows = run(options.quick)

@@ -28,8 +28,12 @@ def recorded(samples: int, seed: int = 5) -> list[Sample]:
     """So many samples at 1 Hz; every five minutes another set-point between 30 and 90 °C."""
     rng = np.random.default_rng(seed)
     count = -(-samples // REGIME)
-    levels = np.resize([30.0, 60.0, 45.0, 80.0, 50.0, 90.0, 35.0, 70.0], count) + rng.integers(-3, 4, count)
+    levels = np.resize(
+        [30.0, 60.0, 45.0, 80.0, 50.0, 90.0, 35.0, 70.0], count
+    ) + rng.integers(-3, 4, count)
     reference = np.repeat(levels, REGIME)[:samples].astype(np.float64)
     camera = Peltier.sensor.realise(samples, 1.0, seed)
-    run = simulate_closed_loop(SINK, reference, states=begin(SINK, 22.85), sensor=camera)
+    run = simulate_closed_loop(
+        SINK, reference, states=begin(SINK, 22.85), sensor=camera
+    )
     return list(samples_of(Window(reference, run.output, run.input)))

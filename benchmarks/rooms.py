@@ -46,7 +46,9 @@ class Scored:
 def forecasts(plant: type[Plant], window: Window) -> Scored:
     """Those of the leader on a room, driven by its input and the outdoor temperature, as they came."""
     settings = TwinSettings.of(plant, period=window.period, law=None)
-    twin = Twin(replace(settings, forecasts=replace(settings.forecasts, horizons=HORIZONS)))
+    twin = Twin(
+        replace(settings, forecasts=replace(settings.forecasts, horizons=HORIZONS))
+    )
     scored = Scored()
     leads = [round(h / window.period) - 1 for h in HORIZONS]
     most = leads[-1] + 1
@@ -68,7 +70,9 @@ def forecasts(plant: type[Plant], window: Window) -> Scored:
         arx = forecaster.arx.referees(ahead[:, None], outside)[1][0]
         scored.errors.append((came - band.mean[leads]).tolist())
         scored.arx.append((came - arx[leads]).tolist())
-        scored.held.append(((band.low[leads] <= came) & (came <= band.high[leads])).tolist())
+        scored.held.append(
+            ((band.low[leads] <= came) & (came <= band.high[leads])).tolist()
+        )
     return scored
 
 
@@ -82,19 +86,44 @@ def main(arguments: Sequence[str]) -> None:
         for name, plant in kinds.items():
             done[name].append(forecasts(plant, window))
         share = np.mean(done["ours"][-1].held, axis=0)
-        print(f"room {seed}, {1 + seed % 3} stores: held {np.round(100 * share)} %", flush=True)
+        print(
+            f"room {seed}, {1 + seed % 3} stores: held {np.round(100 * share)} %",
+            flush=True,
+        )
     ours, alone = done.values()
-    said = [(one.errors, one.arx, one.held) for one in ours], [(one.errors, one.held) for one in alone]
+    said = (
+        [(one.errors, one.arx, one.held) for one in ours],
+        [(one.errors, one.held) for one in alone],
+    )
     rows = [*zip(*said[0], strict=True), *zip(*said[1], strict=True)]
-    names = ("our error", "ARX's", "held by ours, %", "error of one store", "held by it, %")
+    names = (
+        "our error",
+        "ARX's",
+        "held by ours, %",
+        "error of one store",
+        "held by it, %",
+    )
     for name, row in zip(names, rows, strict=True):
         every = np.concatenate([np.array(one) for one in row if one])
-        found = 100 * every.mean(axis=0) if every.dtype == bool else np.sqrt(np.square(every).mean(axis=0))
-        print(f"{name:20s}", *(f"{value:6.2f}" for value in found), "   at", *HORIZONS, "s")
+        found = (
+            100 * every.mean(axis=0)
+            if every.dtype == bool
+            else np.sqrt(np.square(every).mean(axis=0))
+        )
+        print(
+            f"{name:20s}",
+            *(f"{value:6.2f}" for value in found),
+            "   at",
+            *HORIZONS,
+            "s",
+        )
     for stores in (1, 2, 3):
         told = [trusted for one in alone[stores - 1 :: 3] for trusted in one.trusted]
         shares = [100 * np.mean([h in trusted for trusted in told]) for h in HORIZONS]
-        print(f"one store trusted in rooms of {stores}, % of {len(told)} verdicts:", np.round(shares))
+        print(
+            f"one store trusted in rooms of {stores}, % of {len(told)} verdicts:",
+            np.round(shares),
+        )
 
 
 if __name__ == "__main__":

@@ -48,7 +48,12 @@ START = 120.0
 """Wall seconds the virtual rig and the page have to start."""
 
 CONFIGS = {"peltier": "rig.yaml", "tclab": "tclab.yaml"}
-PATIENT = {"max_age": 10.0, "command_timeout": 10.0, "temperature_timeout": 60.0, "clock_timeout": 10.0}
+PATIENT = {
+    "max_age": 10.0,
+    "command_timeout": 10.0,
+    "temperature_timeout": 60.0,
+    "clock_timeout": 10.0,
+}
 """Deadlines of the rig in seconds of the plant, as long as they may be: they are short on a wall clock."""
 
 
@@ -101,11 +106,27 @@ class Soak:
         self.speed = 0.0
         self._ids: dict[str, set[int]] = defaultdict(set)
         session = options.session or folder / "session"
-        words = ["--plant", options.plant, "--virtual", "--speed", str(options.speed), "--dashboard", "0"]
+        words = [
+            "--plant",
+            options.plant,
+            "--virtual",
+            "--speed",
+            str(options.speed),
+            "--dashboard",
+            "0",
+        ]
         words += ["--config", str(_patient(options.plant, folder))]
         self._begun = time.monotonic()
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "twinmatch.cli", "live", *words, "--session", str(session)],
+            [
+                sys.executable,
+                "-m",
+                "twinmatch.cli",
+                "live",
+                *words,
+                "--session",
+                str(session),
+            ],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -125,7 +146,9 @@ class Soak:
                 if (fits := re.search(pattern, line)) is not None:
                     return fits[1]
             time.sleep(0.2)
-        raise TwinmatchError(f"soak: no line with {pattern} came:\n" + "\n".join(self.lines))
+        raise TwinmatchError(
+            f"soak: no line with {pattern} came:\n" + "\n".join(self.lines)
+        )
 
     def read(self, control: str) -> bool:
         """Read the memory of all processes, at this time of the plant; False: the plant is gone."""
@@ -149,11 +172,16 @@ class Soak:
     def medians(self, hours: int) -> dict[str, list[float]]:
         """MB resident of each process in each hour."""
         names = {name for _, name, *_ in self.readings}
-        held = {name: [[] for _ in range(hours)] for name in names}  # type: dict[str, list[list[float]]]
+        sizes: dict[str, list[list[float]]] = {
+            name: [[] for _ in range(hours)] for name in names
+        }
         for at, name, resident, _ in self.readings:
             if at < 3600 * hours:
-                held[name][int(at // 3600)].append(resident)
-        return {name: [median(hour) if hour else math.nan for hour in found] for name, found in held.items()}
+                sizes[name][int(at // 3600)].append(resident)
+        return {
+            name: [median(hour) if hour else math.nan for hour in of_hours]
+            for name, of_hours in sizes.items()
+        }
 
     def stop(self) -> None:
         """End it as Ctrl-C does."""
@@ -180,7 +208,10 @@ def _family(parent: int) -> dict[int, str]:
         for task in Path(f"/proc/{waiting.pop()}/task").glob("*/children"):
             try:
                 children = [int(child) for child in task.read_text().split()]
-                names = {child: _name(Path(f"/proc/{child}/cmdline").read_bytes()) for child in children}
+                names = {
+                    child: _name(Path(f"/proc/{child}/cmdline").read_bytes())
+                    for child in children
+                }
             except OSError:
                 continue
             found |= {child: name for child, name in names.items() if name}
@@ -190,7 +221,8 @@ def _family(parent: int) -> dict[int, str]:
 
 def _name(command: bytes) -> str:
     """A program by its module, a subcommand by its name."""
-    words = command.decode().split("\0")  # of one that has ended, but was not waited for yet: none
+    # of one that has ended, but was not waited for yet: none
+    words = command.decode().split("\0")
     module = words[words.index("-m") + 1] if "-m" in words else Path(words[0]).name
     named = module in ("twinmatch.cli", "twinmatch.nodes")
     return words[words.index("-m") + 2] if named else module.rpartition(".")[2]
@@ -203,17 +235,29 @@ def _resident(process: int) -> tuple[float, float] | None:
     except OSError:
         return None
     found = dict(re.findall(r"(VmRSS|RssAnon):\s+(\d+) kB", text))
-    return (int(found["VmRSS"]) / 1024, int(found["RssAnon"]) / 1024) if len(found) == 2 else None
+    return (
+        (int(found["VmRSS"]) / 1024, int(found["RssAnon"]) / 1024)
+        if len(found) == 2
+        else None
+    )
 
 
 def main() -> int:
     title = (__doc__ or "").splitlines()[0]
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=title)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.soak", description=title
+    )
     parser.add_argument("--plant", default="peltier", choices=("peltier", "tclab"))
-    parser.add_argument("--speed", type=float, default=20.0, help="plant time per wall time (20)")
+    parser.add_argument(
+        "--speed", type=float, default=20.0, help="plant time per wall time (20)"
+    )
     parser.add_argument("--hours", type=float, default=24.0, help="of plant time (24)")
-    parser.add_argument("--session", type=Path, help="record here and leave it (a temporary folder)")
-    parser.add_argument("--json", type=Path, metavar="OUT", help="write all readings to this file")
+    parser.add_argument(
+        "--session", type=Path, help="record here and leave it (a temporary folder)"
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="OUT", help="write all readings to this file"
+    )
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="twinmatch-soak-") as folder:
         soak = Soak(options, Path(folder))
@@ -222,7 +266,11 @@ def main() -> int:
             tab.start()
             control = soak.found(r"control: (\S+)")
             hour = 0
-            while soak.read(control) and soak.elapsed < options.hours * 3600 and soak.process.poll() is None:
+            while (
+                soak.read(control)
+                and soak.elapsed < options.hours * 3600
+                and soak.process.poll() is None
+            ):
                 time.sleep(EVERY)
                 if soak.elapsed // 3600 > hour:
                     hour = int(soak.elapsed // 3600)
@@ -234,7 +282,11 @@ def main() -> int:
 
 
 def _tell(soak: Soak, tab: Tab, wall: float, options: argparse.Namespace) -> int:
-    table = Table(title="Memory, MB: median of each hour of plant time", title_justify="left", box=None)
+    table = Table(
+        title="Memory, MB: median of each hour of plant time",
+        title_justify="left",
+        box=None,
+    )
     table.add_column("process")
     last = max(0, int(soak.elapsed // 3600) - 1)  # the last whole hour
     shown = sorted({0, 1, 2, 6, 12, 18, last} & set(range(last + 1)))
@@ -247,10 +299,16 @@ def _tell(soak: Soak, tab: Tab, wall: float, options: argparse.Namespace) -> int
         growth = values[-1] - values[min(1, last)]
         if not growth <= ALLOWED:
             grew.append(name)
-        table.add_row(name, *(f"{values[hour]:.1f}" for hour in shown), f"{growth:+.1f}")
+        table.add_row(
+            name, *(f"{values[hour]:.1f}" for hour in shown), f"{growth:+.1f}"
+        )
     Console(width=140).print(table)
-    print(f"{soak.elapsed:.0f} s of the plant in {wall:.0f} s, {soak.elapsed / wall:.0f} times real time")
-    print(f"page: opened {tab.opened} times, {tab.messages} messages, {tab.bytes / 1e6:.0f} MB {tab.error}")
+    print(
+        f"{soak.elapsed:.0f} s of the plant in {wall:.0f} s, {soak.elapsed / wall:.0f} times real time"
+    )
+    print(
+        f"page: opened {tab.opened} times, {tab.messages} messages, {tab.bytes / 1e6:.0f} MB {tab.error}"
+    )
     gaps = sum("are missing" in line for line in soak.lines)
     print(f"{gaps} gaps in the samples were reported; health of the rig, and the end:")
     told = re.compile("bridge: health|controller: health|^ended")

@@ -33,16 +33,29 @@ def run(quick: bool) -> list[Row]:
         hour = write_session(Path(folder) / "hour", recorded(700 if quick else 3600))
         cases: dict[str, Callable[[], object]] = {
             "python -c pass": _python("-c", "pass"),
-            "import twinmatch.offline.judging": _python("-c", "import twinmatch.offline.judging"),
+            "import twinmatch.offline.judging": _python(
+                "-c", "import twinmatch.offline.judging"
+            ),
             "replay, no match": _python("-m", "twinmatch.cli", "replay", quiet),
             "replay, two matches": _python("-m", "twinmatch.cli", "replay", short),
-            f"replay, {12 if quick else 60} min": _python("-m", "twinmatch.cli", "replay", hour),
+            f"replay, {12 if quick else 60} min": _python(
+                "-m", "twinmatch.cli", "replay", hour
+            ),
         }
         timings = measure_side_by_side(cases, 1 if quick else 7, patience=120.0)
         loading = _loading(short, 1 if quick else 7)
     targets = {"replay, no match": START_TARGET, "replay, 60 min": HOUR_TARGET}
     rows = [
-        Row("start_up", case, "twinmatch", t.median, None, len(t.seconds), targets.get(case), t.error)
+        Row(
+            "start_up",
+            case,
+            "twinmatch",
+            t.median,
+            None,
+            len(t.seconds),
+            targets.get(case),
+            t.error,
+        )
         for case, t in timings.items()
     ]
     return [*rows, loading]
@@ -50,11 +63,17 @@ def run(quick: bool) -> list[Row]:
 
 def _python(*arguments: object) -> Callable[[], object]:
     command = [sys.executable, *map(str, arguments)]
-    return partial(subprocess.run, command, check=True, capture_output=True, env=_environment())
+    return partial(
+        subprocess.run, command, check=True, capture_output=True, env=_environment()
+    )
 
 
 def _environment() -> dict[str, str]:
-    return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return {
+        name: value
+        for name, value in os.environ.items()
+        if name != "PYTHONDONTWRITEBYTECODE"
+    }
 
 
 def _loading(session: Path, repeats: int) -> Row:
@@ -67,11 +86,24 @@ def _loading(session: Path, repeats: int) -> Row:
     )
     command = [sys.executable, "-c", code, str(session)]
     took = [
-        float(subprocess.run(command, check=True, capture_output=True, text=True, env=_environment()).stdout)
+        float(
+            subprocess.run(
+                command, check=True, capture_output=True, text=True, env=_environment()
+            ).stdout
+        )
         for _ in range(repeats)
     ]
     note = "CPU time of Python, imports and loading all kernels"
-    return Row("start_up", "before judging", "twinmatch", median(took), None, repeats, START_TARGET, note)
+    return Row(
+        "start_up",
+        "before judging",
+        "twinmatch",
+        median(took),
+        None,
+        repeats,
+        START_TARGET,
+        note,
+    )
 
 
 if __name__ == "__main__":

@@ -74,16 +74,33 @@ def choices(hour: Window) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the tables; 1 when a target is missed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--recordings", type=Path, required=True, metavar="DIR", help="folder of recordings")
-    parser.add_argument("--faulty", nargs="*", default=["BMData27"], help="beginnings of faulty ones' names")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument(
+        "--recordings",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder of recordings",
+    )
+    parser.add_argument(
+        "--faulty",
+        nargs="*",
+        default=["BMData27"],
+        help="beginnings of faulty ones' names",
+    )
     options = parser.parse_args(arguments)
     paths = sorted(
         (p for p in options.recordings.iterdir() if p.suffix in {".mat", ".csv"}),
-        key=lambda p: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", p.name)],
+        key=lambda p: [
+            int(part) if part.isdigit() else part for part in re.split(r"(\d+)", p.name)
+        ],
     )
     console = Console(width=200)
-    found: dict[str, dict[str, Figures]] = {name: {} for name in (*Peltier.structures, CHOSEN)}
+    found: dict[str, dict[str, Figures]] = {
+        name: {} for name in (*Peltier.structures, CHOSEN)
+    }
     for path in paths:
         try:
             hour = read_recording(path)
@@ -93,15 +110,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except TwinmatchError as error:
             console.print(f"{path.name}: skipped: {error}")
             continue
-        console.print(f"{path.name}: {choice.sentence} [{time.process_time() - began:.1f} s of CPU]")
+        console.print(
+            f"{path.name}: {choice.sentence} [{time.process_time() - began:.1f} s of CPU]"
+        )
         for score in choice.scores:
             found[score.name][path.name] = judged(score.fitted, hour, half + 1)
         found[CHOSEN][path.name] = found[choice.chosen][path.name]
     names = list(found[CHOSEN])
     if not names:
-        console.print(f"{options.recordings}: there is no usable recording in this folder")
+        console.print(
+            f"{options.recordings}: there is no usable recording in this folder"
+        )
         return 1
-    healthy = [n for n in names if not any(_begins(n, faulty) for faulty in options.faulty)]
+    healthy = [
+        n for n in names if not any(_begins(n, faulty) for faulty in options.faulty)
+    ]
     console.print(_table(found, names, healthy))
     for path in paths:
         if path.name in names:
@@ -113,7 +136,9 @@ def _begins(name: str, beginning: str) -> bool:
     return name.startswith(beginning) and not name[len(beginning) :][:1].isdigit()
 
 
-def _table(found: dict[str, dict[str, Figures]], names: list[str], healthy: list[str]) -> Table:
+def _table(
+    found: dict[str, dict[str, Figures]], names: list[str], healthy: list[str]
+) -> Table:
     table = Table("structure", title="NRMSE of y / u on the second half")
     for name in names:
         table.add_column(name.split("_")[0].removeprefix("BMData"), justify="right")
@@ -133,7 +158,10 @@ def _met(console: Console, figures: list[Figures]) -> bool:
     median = np.median(figures, axis=0)
     least = np.min(figures, axis=0)
     # At the three decimals in which the targets are given.
-    well = bool(np.all(np.round(median, 3) >= MEDIAN_TARGET) and np.all(np.round(least, 3) >= MIN_TARGET))
+    well = bool(
+        np.all(np.round(median, 3) >= MEDIAN_TARGET)
+        and np.all(np.round(least, 3) >= MIN_TARGET)
+    )
     console.print(
         f"chosen, {len(figures)} healthy recordings: median {median[0]:.4f} and {median[1]:.4f} "
         f"(target {MEDIAN_TARGET}), least {least[0]:.4f} and {least[1]:.4f} (target {MIN_TARGET}): "

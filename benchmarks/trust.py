@@ -21,7 +21,9 @@ def main(arguments: Sequence[str]) -> None:
     """Print a line for each motor, and the share of twins that were ever trusted."""
     motors = int(arguments[0]) if arguments else 20
     guesses = [said for seed in range(5 * motors) for said in ever_trusted(seed)]
-    print(f"of {len(guesses)} twins that beat nobody, {sum(guesses)} were trusted at some verdict of an hour")
+    print(
+        f"of {len(guesses)} twins that beat nobody, {sum(guesses)} were trusted at some verdict of an hour"
+    )
     for seed in range(motors):
         told = levels(seed, SAMPLES)
         changes = sum(before != after for before, after in pairwise(told))

@@ -57,14 +57,21 @@ def judged(path: Path) -> tuple[dict[object, Row], list[list[Row]]]:
         if verdict.stands or not verdict.candidates:
             continue
         for c in verdict.candidates:
-            runs[c.parameters] = runs.get(c.parameters) or simulate_window(c.parameters, hour)
+            runs[c.parameters] = runs.get(c.parameters) or simulate_window(
+                c.parameters, hour
+            )
         for (i, a), (j, b) in itertools.combinations(enumerate(verdict.candidates), 2):
             one = runs[a.parameters]
             other = runs[b.parameters]
             apart = size(one.output - other.output, one.input - other.input)
-            matched = max(i, j) < len(verdict.identified_gap)  # structures have no identified models
+            # structures have no identified models
+            matched = max(i, j) < len(verdict.identified_gap)
             models = verdict.identified_gap[i][j] if matched else float("nan")
-            pairs[path.stem, a.parameters, b.parameters] = verdict.nu_gap[i][j], models, apart
+            pairs[path.stem, a.parameters, b.parameters] = (
+                verdict.nu_gap[i][j],
+                models,
+                apart,
+            )
         if verdict.sample + AHEAD < hour.last:
             ahead = hour.part(verdict.sample - 1, verdict.sample + AHEAD)
             verdicts.append([wrong(c, ahead) for c in verdict.candidates])
@@ -95,7 +102,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--recordings", type=Path, required=True, help="folder of recordings")
+    parser.add_argument(
+        "--recordings", type=Path, required=True, help="folder of recordings"
+    )
     folder = parser.parse_args(arguments).recordings
     pairs: dict[object, Row] = {}
     verdicts: list[list[Row]] = []
@@ -105,7 +114,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except TwinmatchError as error:
             print(f"{path.name}: {error}", file=sys.stderr)
             continue
-        print(f"{path.name}: {len(own)} pairs, {ranks(list(own.values())).round(2)} (plants, models)")
+        print(
+            f"{path.name}: {len(own)} pairs, {ranks(list(own.values())).round(2)} (plants, models)"
+        )
         pairs |= own
         verdicts += candidates
     if not pairs:
@@ -114,7 +125,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"all {len(pairs)} pairs: {ranks(list(pairs.values())).round(2)}")
     every = [row for rows in verdicts for row in rows]
     within = np.nanmean([ranks(rows) for rows in verdicts if len(rows) >= 4], axis=0)
-    print(f"{len(every)} future errors: {ranks(every).round(2)}, within a verdict {within.round(2)}")
+    print(
+        f"{len(every)} future errors: {ranks(every).round(2)}, within a verdict {within.round(2)}"
+    )
     return 0
 
 

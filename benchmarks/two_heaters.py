@@ -93,7 +93,9 @@ def by_pids() -> Callable[[int, tuple[float, float], tuple[float, float]], Sampl
     """The kit's own loop: samples from second, set-points and readings."""
     loop = Loop(TCLabBoth)
 
-    def tick(second: int, wanted: tuple[float, float], read: tuple[float, float]) -> Sample:
+    def tick(
+        second: int, wanted: tuple[float, float], read: tuple[float, float]
+    ) -> Sample:
         loop.measure(read, second * 10**9)
         sample = loop.tick(second * 10**9, lambda _: wanted)
         assert sample is not None
@@ -102,11 +104,15 @@ def by_pids() -> Callable[[int, tuple[float, float], tuple[float, float]], Sampl
     return tick
 
 
-def by_law(law: Law) -> Callable[[int, tuple[float, float], tuple[float, float]], Sample]:
+def by_law(
+    law: Law,
+) -> Callable[[int, tuple[float, float], tuple[float, float]], Sample]:
     """The same with another law."""
     controller = Controller(law)
 
-    def tick(second: int, wanted: tuple[float, float], read: tuple[float, float]) -> Sample:
+    def tick(
+        second: int, wanted: tuple[float, float], read: tuple[float, float]
+    ) -> Sample:
         commands = controller.step(wanted, read)
         return Sample(second, second * 10**9, wanted, read, tuple(commands.tolist()))
 
@@ -115,7 +121,7 @@ def by_law(law: Law) -> Callable[[int, tuple[float, float], tuple[float, float]]
 
 def run(seed: int, mishap: Mishap | None, law: str) -> Iterator[Sample]:
     """One kit."""
-    import tclab  # noqa: PLC0415 (an optional dependency)
+    import tclab  # noqa: PLC0415
 
     random.seed(seed)  # the model draws its noise there
     np.random.seed(seed)
@@ -148,24 +154,39 @@ def alarms_of(seed: int, mishap: Mishap | None, law: str) -> list[ChannelAlarm]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.two_heaters", description=__doc__)
-    parser.add_argument("--healthy", type=int, default=6, help="healthy kits of each law")
-    parser.add_argument("--mishaps", type=int, default=2, help="kits of each law with each mishap")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.two_heaters", description=__doc__
+    )
+    parser.add_argument(
+        "--healthy", type=int, default=6, help="healthy kits of each law"
+    )
+    parser.add_argument(
+        "--mishaps", type=int, default=2, help="kits of each law with each mishap"
+    )
     parser.add_argument("--seed", type=int, default=0, help="that of the first kit")
     options = parser.parse_args()
     print("law     mishap      told   delays, s        false names", flush=True)
     for law in ("pid", "linear"):
         names = []
         for seed in range(options.seed, options.seed + options.healthy):
-            names += [f"{alarm.fault.value}@{alarm.flagged}" for alarm in alarms_of(seed, None, law)]
+            names += [
+                f"{alarm.fault.value}@{alarm.flagged}"
+                for alarm in alarms_of(seed, None, law)
+            ]
         hours = options.healthy * SIZE / 3600.0
-        print(f"{law:7s} none        {hours:.1f} h                  {' '.join(names) or 'none'}", flush=True)
+        print(
+            f"{law:7s} none        {hours:.1f} h                  {' '.join(names) or 'none'}",
+            flush=True,
+        )
         for title, mishap in MISHAPS.items():
             delays = []
             false = []
             for seed in range(options.seed, options.seed + options.mishaps):
                 for number, alarm in enumerate(alarms_of(seed, mishap, law)):
-                    if number == 0 and (alarm.fault.value, alarm.signal) == (mishap.fault, mishap.signal):
+                    if number == 0 and (alarm.fault.value, alarm.signal) == (
+                        mishap.fault,
+                        mishap.signal,
+                    ):
                         delays.append(alarm.flagged - BEGINS)
                     else:
                         false.append(f"{alarm.fault.value}@{alarm.flagged}")

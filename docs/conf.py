@@ -28,16 +28,23 @@ python_maximum_signature_line_length = 100
 default_role = "literal"
 
 
-def _read_docstring(_app: Any, what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
+def _read_docstring(
+    _app: Any, what: str, _name: str, _object: Any, _options: Any, lines: list[str]
+) -> None:
     """Let |u| be a magnitude, not a substitution, and a colon in a field's text a colon, not a type."""
     for number, line in enumerate(lines):
         parts = line.split("`")  # every other one is code
         parts[::2] = [part.replace("|", r"\|") for part in parts[::2]]
         lines[number] = "`".join(parts)
     if what in {"attribute", "data", "property"}:
-        lines[:0] = ["..", ""]  # an empty comment: napoleon takes the first line up to a colon for a type
+        lines[:0] = [
+            "..",
+            "",
+        ]  # an empty comment: napoleon takes the first line up to a colon for a type
 
 
 def setup(app: Any) -> None:
     """Hook into Sphinx."""
-    app.connect("autodoc-process-docstring", _read_docstring, priority=400)  # before napoleon
+    app.connect(
+        "autodoc-process-docstring", _read_docstring, priority=400
+    )  # before napoleon

@@ -19,13 +19,20 @@ from xdist.scheduler import LoadFileScheduling
 
 from tests.support.disks import keep_mounts_to_this_process
 from tests.support.durations import Cost, Costs, files_that_grew, processor_seconds
-from tests.support.places import OTHERS, PROJECT, RECORDINGS, TESTS, remove_temporary_folders
+from tests.support.places import (
+    OTHERS,
+    PROJECT,
+    RECORDINGS,
+    TESTS,
+    remove_temporary_folders,
+)
 from twinmatch.cli.shared import Progress
 from twinmatch.fmu import is_fmu
 from twinmatch.plants import PLANTS
 from twinmatch.signals import Window
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # how a shell starts what runs in the background
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # how a shell starts what runs in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 FIRST = (
@@ -41,7 +48,11 @@ TOGETHER = (
     ("tests/offline/backtest/",),
     ("tests/offline/test_controller",),
     ("tests/showing/page/test_foreign", "tests/showing/page/test_page_in_browser"),
-    ("tests/showing/page/test_several", "tests/showing/report/", "tests/showing/test_several"),
+    (
+        "tests/showing/page/test_several",
+        "tests/showing/report/",
+        "tests/showing/test_several",
+    ),
     ("tests/system/subscribers/",),
     ("tests/twin/",),
 )
@@ -57,7 +68,9 @@ SLOWEST = 10
 LONG_TESTS = 40
 """How many tests `make test` may leave to `make test-long`."""
 
-settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=40)
+settings.register_profile(
+    "repeatable", derandomize=True, deadline=None, max_examples=40
+)
 settings.load_profile("repeatable")
 
 
@@ -69,7 +82,9 @@ class Durations:
         self._computed_before = processor_seconds()
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_makereport(self) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    def pytest_runtest_makereport(
+        self,
+    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         report = yield
         computed = processor_seconds()
         report.computed = computed - self._computed_before  # type: ignore[attr-defined]  # travels with it
@@ -79,7 +94,9 @@ class Durations:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         self.costs.add(report.nodeid, Cost(report.duration, report.computed))  # type: ignore[attr-defined]
 
-    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+    def pytest_terminal_summary(
+        self, terminalreporter: pytest.TerminalReporter
+    ) -> None:
         """The slowest files, and what has changed since the stored run."""
         if not self.costs.by_test:
             return
@@ -91,7 +108,9 @@ class Durations:
             stored.write(STORED)
         terminalreporter.section("what took longest (clock, processors)")
         for name, cost in list(files.items())[:SLOWEST]:
-            terminalreporter.line(f"{cost.waited:7.1f} s {cost.computed:7.1f} s  {name}")
+            terminalreporter.line(
+                f"{cost.waited:7.1f} s {cost.computed:7.1f} s  {name}"
+            )
         if terminalreporter.config.getoption("markexpr") == "long":
             return  # the stored run has none of these tests
         for line in files_that_grew(Costs.read(STORED).by_file(), files):
@@ -100,7 +119,9 @@ class Durations:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--store-durations", action="store_true", help="keep what each file takes as tests/durations.json"
+        "--store-durations",
+        action="store_true",
+        help="keep what each file takes as tests/durations.json",
     )
 
 
@@ -118,12 +139,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What waits begins first; the order within a folder stays."""
     long_tests = [item for item in items if item.get_closest_marker("long") is not None]
     if len(long_tests) > LONG_TESTS:
-        raise pytest.UsageError(f"{len(long_tests)} tests are marked long; at most {LONG_TESTS} may be")
+        raise pytest.UsageError(
+            f"{len(long_tests)} tests are marked long; at most {LONG_TESTS} may be"
+        )
     for item in long_tests:
         if not reason_of(item):
-            raise pytest.UsageError(f"{item.nodeid}: say why it is long: @pytest.mark.long('…')")
+            raise pytest.UsageError(
+                f"{item.nodeid}: say why it is long: @pytest.mark.long('…')"
+            )
     folders = {name: place for place, name in enumerate(FIRST)}
-    items.sort(key=lambda item: folders.get(item.path.relative_to(TESTS).parts[0], len(FIRST)))
+    items.sort(
+        key=lambda item: folders.get(item.path.relative_to(TESTS).parts[0], len(FIRST))
+    )
 
 
 def reason_of(item: pytest.Item) -> str:
@@ -153,7 +180,9 @@ class ByFile(LoadFileScheduling):
         return group[0] if group is not None else str(super()._split_scope(nodeid))
 
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> LoadFileScheduling | None:
+def pytest_xdist_make_scheduler(
+    config: pytest.Config, log: object
+) -> LoadFileScheduling | None:
     return ByFile(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
@@ -200,7 +229,9 @@ def ros_domain() -> Iterator[int]:
 def ros(ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> None:  # noqa: ARG001
     """The environment of all ROS in this process and its children, in the domain of this worker."""
     pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-    pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+    pytest.importorskip(
+        "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+    )
     from twinmatch.nodes import network
 
     os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
@@ -223,9 +254,14 @@ def no_adopted_structures() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def recordings() -> dict[int, Path]:
     """Paths of the real rig's recordings by their number."""
-    found = {int(p.name[6:].split("_")[0]): p for p in sorted(RECORDINGS.glob("BMData*_*.mat"))}
+    found = {
+        int(p.name[6:].split("_")[0]): p
+        for p in sorted(RECORDINGS.glob("BMData*_*.mat"))
+    }
     if not found:
-        pytest.skip(f"no rig recordings in {RECORDINGS}; set TWINMATCH_RECORDINGS to their folder")
+        pytest.skip(
+            f"no rig recordings in {RECORDINGS}; set TWINMATCH_RECORDINGS to their folder"
+        )
     return found
 
 
@@ -236,7 +272,9 @@ def recorded_hour(recordings: dict[int, Path]) -> Callable[[int], Window]:
     def read(number: int) -> Window:
         if number not in recordings:
             pytest.skip(f"recording {number} is not in {RECORDINGS}")
-        u, y, _, r = np.asarray(scipy.io.loadmat(recordings[number])["simout"], dtype=np.float64).T
+        u, y, _, r = np.asarray(
+            scipy.io.loadmat(recordings[number])["simout"], dtype=np.float64
+        ).T
         return Window(r, y, u)
 
     return read
@@ -255,7 +293,9 @@ def kit_recording() -> Callable[[str], Window]:
         rows = np.genfromtxt(path, delimiter=",", skip_header=1)
         pair = rows.shape[1] > 3
         q1, q2, t1 = (
-            (rows[:, 1], rows[:, 2], rows[:, 3]) if pair else (rows[:, 1], 0 * rows[:, 1], rows[:, 2])
+            (rows[:, 1], rows[:, 2], rows[:, 3])
+            if pair
+            else (rows[:, 1], 0 * rows[:, 1], rows[:, 2])
         )
         return Window(np.full(t1.size, t1[0]), t1, q1, disturbances=q2[:, None])
 
@@ -267,5 +307,7 @@ def incubator_folder() -> Path:
     """Where the recordings of the published incubator are."""
     path = OTHERS / "incubator"
     if not path.is_dir():
-        pytest.skip(f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings")
+        pytest.skip(
+            f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings"
+        )
     return path

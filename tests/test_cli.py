@@ -39,11 +39,20 @@ from twinmatch.showing.terminal import Screen
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Outcome, Twin
 
-TERMINAL_VARIABLES = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
+TERMINAL_VARIABLES = (
+    "NO_COLOR",
+    "FORCE_COLOR",
+    "COLUMNS",
+    "LINES",
+    "TTY_COMPATIBLE",
+    "TTY_INTERACTIVE",
+)
 """Variables of the user who runs the tests; they would change what a terminal is shown."""
 
 
-def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+def run(
+    *arguments: object, cwd: Path | None = None
+) -> subprocess.CompletedProcess[str]:
     return run_twinmatch(*arguments, folder=cwd)
 
 
@@ -51,7 +60,9 @@ def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProc
 def small_session(tmp_path: Path) -> Path:
     """A minute and a half with one step; the plate follows at once."""
     reference = np.repeat([30.0, 50.0], 45)
-    return write_session(tmp_path / "small", samples_of(Window(reference, reference, reference / 2)))
+    return write_session(
+        tmp_path / "small", samples_of(Window(reference, reference, reference / 2))
+    )
 
 
 WITHOUT_ROS = """
@@ -78,7 +89,16 @@ def test_commands_of_the_graph_say_that_they_need_ros() -> None:
         [sys.executable, "-c", WITHOUT_ROS], capture_output=True, text=True, check=True
     )
     needs = "needs ROS 2: rclpy, diagnostic_msgs, twinmatch_msgs cannot be found; run make setup"
-    programs = ("sampler", "rig", "matcher", "demo", "live", "play", "dashboard", "foxglove")
+    programs = (
+        "sampler",
+        "rig",
+        "matcher",
+        "demo",
+        "live",
+        "play",
+        "dashboard",
+        "foxglove",
+    )
     programs += ("apply", "apply", "attach", "experiment", "experiment")
     lines = completed.stderr.splitlines()
     for command, line in zip(programs, lines, strict=True):
@@ -105,21 +125,50 @@ BEHIND_EXTRAS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("foxglove", ("foxglove",), "foxglove"),
     ("tclab", ("virtual-rig", "--plant", "tclab", "--duration", "1"), "tclab"),
     ("rosbags", ("import", "BAG", "--list"), "bags"),
-    ("rosbags", ("import", "BAG", "--plant", "peltier", "--map", "output=/a", "input=/b", "-o", "S"), "bags"),
+    (
+        "rosbags",
+        (
+            "import",
+            "BAG",
+            "--plant",
+            "peltier",
+            "--map",
+            "output=/a",
+            "input=/b",
+            "-o",
+            "S",
+        ),
+        "bags",
+    ),
     ("fmpy", ("fmu", "model.fmu"), "fmu"),
     ("fmpy", ("replay", "SESSION", "--allow-fmu", "MAP"), "fmu"),
     ("fmpy", ("forecast", "SESSION", "--allow-fmu", "MAP", "--at", "9"), "fmu"),
-    ("distributed", ("replay", "SESSION", "--scheduler", "127.0.0.1:1", "--out", "OUT"), "cluster"),
+    (
+        "distributed",
+        ("replay", "SESSION", "--scheduler", "127.0.0.1:1", "--out", "OUT"),
+        "cluster",
+    ),
 )
 """Packages with a command that needs them, and the extra to install."""
 
 
-def test_a_command_without_its_extra_says_what_to_install(tmp_path: Path, small_session: Path) -> None:
+def test_a_command_without_its_extra_says_what_to_install(
+    tmp_path: Path, small_session: Path
+) -> None:
     (tmp_path / "bag.bag").write_bytes(b"#ROSBAG V2.0\n")
     (tmp_path / "model.fmu").write_bytes(b"")
-    structures = {"a": {"fmu": "model.fmu", "variables": {"temperature": "t", "pwm": "u"}}}
-    (tmp_path / "map.yaml").write_text(json.dumps({"plant": "peltier", "structures": structures}))
-    files = {"BAG": "bag.bag", "SESSION": str(small_session), "MAP": "map.yaml", "OUT": "results"}
+    structures = {
+        "a": {"fmu": "model.fmu", "variables": {"temperature": "t", "pwm": "u"}}
+    }
+    (tmp_path / "map.yaml").write_text(
+        json.dumps({"plant": "peltier", "structures": structures})
+    )
+    files = {
+        "BAG": "bag.bag",
+        "SESSION": str(small_session),
+        "MAP": "map.yaml",
+        "OUT": "results",
+    }
     packages = sorted({package for package, _, _ in BEHIND_EXTRAS})
     commands = []
     for _, words, _ in BEHIND_EXTRAS:
@@ -129,7 +178,9 @@ def test_a_command_without_its_extra_says_what_to_install(tmp_path: Path, small_
         capture_output=True, text=True, check=True, cwd=tmp_path,
     )  # fmt: skip
     assert completed.stdout.split() == ["2"] * len(commands)
-    for (package, command, extra), line in zip(BEHIND_EXTRAS, completed.stderr.splitlines(), strict=True):
+    for (package, command, extra), line in zip(
+        BEHIND_EXTRAS, completed.stderr.splitlines(), strict=True
+    ):
         assert line.startswith("twinmatch: "), command
         assert package in line, command
         assert line.endswith(f"pip install 'twinmatch[{extra}]'"), (command, line)
@@ -151,7 +202,9 @@ def test_reading_a_long_table_is_reported(
     rows = "".join(f"{k},{20 + k % 7},{k % 2}\n" for k in range(12_000))
     (tmp_path / "log.csv").write_text(f"t,T,duty\n{rows}")
     assert main(["import", str(tmp_path / "log.csv"), "--list"]) == 0
-    assert re.search(r"^twinmatch: reading, \d+% done$", capsys.readouterr().err, re.MULTILINE)
+    assert re.search(
+        r"^twinmatch: reading, \d+% done$", capsys.readouterr().err, re.MULTILINE
+    )
 
 
 class Replayed(NamedTuple):
@@ -169,7 +222,9 @@ def replayed(tmp_path_factory: pytest.TempPathFactory) -> Replayed:
     out = tmp_path_factory.mktemp("replayed")
     files = out / "out.json", out / "verdict.png"
     half = write_session(out / "four_setpoints", read_session(SHIPPED).samples[:1010])
-    run_of_replay = run_on_terminal("replay", half, "--json", files[0], "--figure", files[1], width=160)
+    run_of_replay = run_on_terminal(
+        "replay", half, "--json", files[0], "--figure", files[1], width=160
+    )
     return Replayed(*run_of_replay, *files)
 
 
@@ -179,20 +234,41 @@ def test_a_replay_gives_the_documented_json(replayed: Replayed) -> None:
     assert judged["session"] == "four_setpoints"
     assert len(judged["verdicts"]) >= 8
     last = judged["verdicts"][-1]
-    assert set(last) >= {"sample", "first", "last", "level", "nominal", "decimals", "candidates", "nu_gap"}
+    assert set(last) >= {
+        "sample",
+        "first",
+        "last",
+        "level",
+        "nominal",
+        "decimals",
+        "candidates",
+        "nu_gap",
+    }
     assert last["decimals"] == 2
     family = [c for c in last["candidates"] if c["orders"]]
     assert last["leader"] in {c["name"] for c in last["candidates"]}
     for candidate in family:
-        assert set(candidate["parameters"]) >= {"seebeck", "resistance", "conductance", "heat_capacity"}
+        assert set(candidate["parameters"]) >= {
+            "seebeck",
+            "resistance",
+            "conductance",
+            "heat_capacity",
+        }
         assert candidate["parameters"]["resistance"] == 3.3
-        assert [o["order"] for o in candidate["orders"]] == ["22221", "33331", "44441", "55551"]
+        assert [o["order"] for o in candidate["orders"]] == [
+            "22221",
+            "33331",
+            "44441",
+            "55551",
+        ]
         for order in candidate["orders"]:
             for output in ("y", "u", "total"):
                 assert set(order[output]) >= {"gain", "naic", "bic", "mdl"}
         assert candidate["chosen_order"] in {o["order"] for o in candidate["orders"]}
     sums = np.array(last["nu_gap"])[: len(family)].sum(axis=0)
-    np.testing.assert_allclose(sums, [c["nu_gap_sum"] for c in last["candidates"]], rtol=1e-12)
+    np.testing.assert_allclose(
+        sums, [c["nu_gap_sum"] for c in last["candidates"]], rtol=1e-12
+    )
     assert family[int(np.argmin(sums[: len(family)]))]["name"] == last["nominal"]
     summary = judged["summary"]
     assert summary["nominal"] == last["nominal"]
@@ -205,14 +281,18 @@ def test_a_recording_becomes_a_session_with_the_same_samples(tmp_path: Path) -> 
     r = np.full(50, 40.0)
     y = r + rng.normal(size=50)
     u = rng.uniform(-255, 255, 50)
-    scipy.io.savemat(tmp_path / "run.mat", {"simout": np.column_stack([u, y, np.arange(50.0), r])})
+    scipy.io.savemat(
+        tmp_path / "run.mat", {"simout": np.column_stack([u, y, np.arange(50.0), r])}
+    )
     result = run("import", tmp_path / "run.mat", "-o", tmp_path / "session")
     assert result.returncode == 0, result.stderr
     assert "50 samples" in result.stdout
     assert (tmp_path / "session" / "metadata.yaml").is_file()
 
 
-def test_a_truncated_session_is_judged_as_far_as_it_goes_and_that_is_said(tmp_path: Path) -> None:
+def test_a_truncated_session_is_judged_as_far_as_it_goes_and_that_is_said(
+    tmp_path: Path,
+) -> None:
     whole = (SHIPPED / "four_setpoints_0.mcap").read_bytes()
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(whole[: len(whole) // 2])
@@ -228,7 +308,11 @@ def test_a_family_to_begin_with_is_judged_too(tmp_path: Path) -> None:
     begun = write_session(tmp_path / "begun", open_any(SHIPPED).samples[:450])
     assert run("replay", begun, "--candidates", paper, "--json", out).returncode == 0
     first = next(v for v in json.loads(out.read_text())["verdicts"] if not v["stands"])
-    assert {c["name"] for c in first["candidates"]} >= {"paper 30 °C", "paper 70 °C", "paper 90 °C"}
+    assert {c["name"] for c in first["candidates"]} >= {
+        "paper 30 °C",
+        "paper 70 °C",
+        "paper 90 °C",
+    }
 
 
 def test_a_session_in_which_nothing_moves_has_no_nominal(small_session: Path) -> None:
@@ -238,9 +322,16 @@ def test_a_session_in_which_nothing_moves_has_no_nominal(small_session: Path) ->
 
 
 def test_a_session_is_overwritten_if_asked(small_session: Path, tmp_path: Path) -> None:
-    rows = np.column_stack([np.zeros(20), np.full(20, 30.0), np.arange(20.0), np.full(20, 30.0)])
+    rows = np.column_stack(
+        [np.zeros(20), np.full(20, 30.0), np.arange(20.0), np.full(20, 30.0)]
+    )
     scipy.io.savemat(tmp_path / "run.mat", {"simout": rows})
-    assert run("import", tmp_path / "run.mat", "-o", small_session, "--overwrite").returncode == 0
+    assert (
+        run(
+            "import", tmp_path / "run.mat", "-o", small_session, "--overwrite"
+        ).returncode
+        == 0
+    )
 
 
 @pytest.fixture(scope="module")
@@ -281,23 +372,40 @@ def run_on_terminal(
     return process.wait(120), text, re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", stands)
 
 
-def test_a_terminal_shows_the_run_and_ends_with_the_sentence(replayed: Replayed) -> None:
+def test_a_terminal_shows_the_run_and_ends_with_the_sentence(
+    replayed: Replayed,
+) -> None:
     code, written, stands, *_ = replayed
     assert code == 0
-    assert len(re.findall(r"four_setpoints.* \d+ %, ", written)) > 2  # drawn while it continued
+    # drawn while it continued
+    assert len(re.findall(r"four_setpoints.* \d+ %, ", written)) > 2
     assert re.search(r"\x1b\[[0-9;]*32[0-9;]*m TRUSTED ", written)
-    assert written.count("\x1b[?25l") == written.count("\x1b[?25h") == 1  # the cursor comes back
+    # the cursor comes back
+    assert written.count("\x1b[?25l") == written.count("\x1b[?25h") == 1
     lines = stands.splitlines()
     assert "100 %, 0:16:50 of 0:16:50 h" in lines[0]
     header = next(line for line in lines if line.startswith("candidate"))
     assert header.split() == [
-        *("candidate", "°C", "mV/K", "W/K", "J/K", "order", "characters", "nAIC", "BIC", "°C²+PWM²"),
+        *(
+            "candidate",
+            "°C",
+            "mV/K",
+            "W/K",
+            "J/K",
+            "order",
+            "characters",
+            "nAIC",
+            "BIC",
+            "°C²+PWM²",
+        ),
         *["Σ", "ν-gap", "90", "%", "of", "Σ", "P(nominal)", "ν-gap", "now", "margin"],
     ]
     ended = stands[stands.index("Leader: ") :]
     assert re.search(r"trust it [\d, and]+ s ahead between", " ".join(ended.split()))
     assert re.search(
-        r"^Nominal, the centre of the family: match at .* \(orders \d{5}\)\.$", ended, re.MULTILINE
+        r"^Nominal, the centre of the family: match at .* \(orders \d{5}\)\.$",
+        ended,
+        re.MULTILINE,
     )
 
 
@@ -340,7 +448,9 @@ def test_what_is_compiled_is_said_once_by_progress_and_screen(
     words = "judging, compiling twice it once on this machine (1 so far), 25% done"
     assert words in capsys.readouterr().err
     stream = io.StringIO()
-    screen = Screen(Console(file=stream, force_terminal=True, width=100, height=40), "kit", 1.0, 600)
+    screen = Screen(
+        Console(file=stream, force_terminal=True, width=100, height=40), "kit", 1.0, 600
+    )
     screen.open()
     assert kernel()(2.0) == 4.0
     screen.close()
@@ -351,7 +461,9 @@ def test_what_is_compiled_is_said_once_by_progress_and_screen(
 
 def test_a_terminal_shows_the_progress_of_reading_a_session(tmp_path: Path) -> None:
     reference = np.repeat([30.0, 50.0], 2000)
-    session = write_session(tmp_path / "long", samples_of(Window(reference, reference, reference / 2)))
+    session = write_session(
+        tmp_path / "long", samples_of(Window(reference, reference, reference / 2))
+    )
     for command in (
         ["verify"],
         ["backtest"],
@@ -359,12 +471,16 @@ def test_a_terminal_shows_the_progress_of_reading_a_session(tmp_path: Path) -> N
         ["report", "-o", tmp_path / "r.html"],
     ):
         shown = r"reading .* \d+%"
-        _, written, _ = run_on_terminal(command[0], session, *command[1:], width=100, until=shown)
+        _, written, _ = run_on_terminal(
+            command[0], session, *command[1:], width=100, until=shown
+        )
         assert re.search(shown, written), (command, written[:2000])
 
 
 def test_a_narrow_terminal_without_colours_cuts_no_number(fault_session: Path) -> None:
-    code, written, stands = run_on_terminal("replay", fault_session, width=60, NO_COLOR="1")
+    code, written, stands = run_on_terminal(
+        "replay", fault_session, width=60, NO_COLOR="1"
+    )
     assert code == 0
     assert not re.search(r"\x1b\[(?:[0-9]+;)*(?:3[0-8]|4[0-8]|9[0-7])[;m]", written)
     lines = stands.splitlines()
@@ -373,24 +489,39 @@ def test_a_narrow_terminal_without_colours_cuts_no_number(fault_session: Path) -
     assert len(rows) >= 2
     for row in rows:
         cells = re.split(r" {2,}", row[3:].strip())
-        assert all(re.fullmatch(r"−?\d+(\.\d+)?\*?|\d\d\d\d1|–", cell) for cell in cells[1:]), row
+        assert all(
+            re.fullmatch(r"−?\d+(\.\d+)?\*?|\d\d\d\d1|–", cell) for cell in cells[1:]
+        ), row
     words = " ".join(" ".join(lines).split())
     assert "fault drive-lost since" in words
-    assert "do not trust it now: the plant shows drive-lost" in words.rpartition("Leader: ")[2]
+    assert (
+        "do not trust it now: the plant shows drive-lost"
+        in words.rpartition("Leader: ")[2]
+    )
 
 
-def test_a_pipe_gets_plain_lines_and_the_sentence_at_the_end(fault_session: Path) -> None:
+def test_a_pipe_gets_plain_lines_and_the_sentence_at_the_end(
+    fault_session: Path,
+) -> None:
     result = run("replay", fault_session)
     assert result.returncode == 0
     assert result.stderr == ""
     assert "\x1b" not in result.stdout
     header, *lines = result.stdout.splitlines()
     assert header.startswith("t / s")
-    verdicts = [(line, below) for line, below in itertools.pairwise(lines) if re.match(r"\d+ ", line)]
+    verdicts = [
+        (line, below)
+        for line, below in itertools.pairwise(lines)
+        if re.match(r"\d+ ", line)
+    ]
     leader = header.index("leader")
-    assert all(len(line) > leader and line[leader - 2 : leader] == "  " for line, _ in verdicts)
+    assert all(
+        len(line) > leader and line[leader - 2 : leader] == "  " for line, _ in verdicts
+    )
     assert all(below.startswith(" " * header.index("level")) for _, below in verdicts)
-    alarm_line, reason = next((line, below) for line, below in verdicts if " fault " in line)
+    alarm_line, reason = next(
+        (line, below) for line, below in verdicts if " fault " in line
+    )
     assert 640 <= int(alarm_line.split()[0]) < 660  # at once, not at the next trigger
     assert reason.lstrip().startswith("drive-lost: ")
     assert len({line.split()[0] for line, _ in verdicts}) == len(verdicts)
@@ -426,7 +557,9 @@ def test_ctrl_c_ends_a_replay_with_one_line_and_its_code(tmp_path: Path) -> None
     assert "Traceback" not in process.text
 
 
-def test_ctrl_c_while_judging_takes_effect_between_two_samples(small_session: Path) -> None:
+def test_ctrl_c_while_judging_takes_effect_between_two_samples(
+    small_session: Path,
+) -> None:
     """In every command that judges: they all do it here."""
     session = open_any(small_session)
     judged_indices: list[int] = []
@@ -440,7 +573,9 @@ def test_ctrl_c_while_judging_takes_effect_between_two_samples(small_session: Pa
     assert judged_indices == [0]
 
 
-def test_a_held_interrupt_is_raised_when_asked_for_and_at_the_latest_at_the_end() -> None:
+def test_a_held_interrupt_is_raised_when_asked_for_and_at_the_latest_at_the_end() -> (
+    None
+):
     reached = []
 
     def work(*, ask: bool) -> None:
@@ -501,25 +636,41 @@ def asked(session: Path, out: Path, *options: object) -> list[dict[str, Any]]:
 
 
 @pytest.fixture(scope="module")
-def in_a_transient(session: Path, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+def in_a_transient(
+    session: Path, tmp_path_factory: pytest.TempPathFactory
+) -> list[dict[str, Any]]:
     """Two forecasts in the middle of it, and between them one from before it."""
     out = tmp_path_factory.mktemp("transient") / "out.json"
     return asked(session, out, "--at", AT, 500, "--at", AT, "--horizon", 60)
 
 
-def test_the_json_is_a_list_in_the_order_that_was_asked_for(in_a_transient: list[dict[str, Any]]) -> None:
+def test_the_json_is_a_list_in_the_order_that_was_asked_for(
+    in_a_transient: list[dict[str, Any]],
+) -> None:
     forecasts = in_a_transient
     assert [f["sample"] for f in forecasts] == [AT, 500, AT]
     assert forecasts[0] == forecasts[2]
     for forecast in forecasts:
         assert set(forecast) == {
-            *("sample", "candidate", "structure", "confidence", "t", "y", "u", "reference", "notes"),
+            *(
+                "sample",
+                "candidate",
+                "structure",
+                "confidence",
+                "t",
+                "y",
+                "u",
+                "reference",
+                "notes",
+            ),
         }
         assert forecast["confidence"] == 0.9
         assert forecast["t"] == [float(k) for k in range(1, 61)]
         for name in ("y", "u"):
             assert set(forecast[name]) == {"mean", "low", "high"}
-            low, mean, high = (np.array(forecast[name][edge]) for edge in ("low", "mean", "high"))
+            low, mean, high = (
+                np.array(forecast[name][edge]) for edge in ("low", "mean", "high")
+            )
             assert low.size == 60
             assert np.all(low <= mean)
             assert np.all(mean <= high)
@@ -531,21 +682,39 @@ def test_the_recorded_set_points_are_all_it_knows(
     samples: list[Sample], session: Path, tmp_path: Path
 ) -> None:
     with_recorded = asked(
-        session, tmp_path / "told.json", "--at", 600, "--reference", "recorded", "--horizon", 120
+        session,
+        tmp_path / "told.json",
+        "--at",
+        600,
+        "--reference",
+        "recorded",
+        "--horizon",
+        120,
     )[0]
     assert with_recorded["reference"] == [60.0] * 59 + [45.0] * 61
     rows = "\n".join(f"{k - 600},{samples[k].reference}" for k in range(601, 721))
     (tmp_path / "ahead.csv").write_text(f"time,set-point\n{rows}\n", encoding="utf-8")
     cut = write_session(tmp_path / "cut", samples[:601])
     alone = asked(
-        cut, tmp_path / "cut.json", "--at", 600, "--reference", tmp_path / "ahead.csv", "--horizon", 120
+        cut,
+        tmp_path / "cut.json",
+        "--at",
+        600,
+        "--reference",
+        tmp_path / "ahead.csv",
+        "--horizon",
+        120,
     )[0]
     assert alone == with_recorded  # JSON gives every float64 back
 
 
-def test_recorded_set_points_end_with_the_session(samples: list[Sample], tmp_path: Path) -> None:
+def test_recorded_set_points_end_with_the_session(
+    samples: list[Sample], tmp_path: Path
+) -> None:
     short = write_session(tmp_path / "short", samples[:420])
-    forecast = asked(short, tmp_path / "out.json", "--at", 400, "--reference", "recorded")[0]
+    forecast = asked(
+        short, tmp_path / "out.json", "--at", 400, "--reference", "recorded"
+    )[0]
     assert len(forecast["t"]) == 19
     assert "shortened to 19 s: the session ends there" in forecast["notes"]
 
@@ -554,7 +723,16 @@ def test_another_candidate_may_be_asked(
     session: Path, in_a_transient: list[dict[str, Any]], tmp_path: Path, capsys: Any
 ) -> None:
     leader = in_a_transient[0]
-    of_second = asked(session, tmp_path / "b.json", "--at", AT, "--candidate", "60 °C", "--horizon", 20)[0]
+    of_second = asked(
+        session,
+        tmp_path / "b.json",
+        "--at",
+        AT,
+        "--candidate",
+        "60 °C",
+        "--horizon",
+        20,
+    )[0]
     assert leader["candidate"] != of_second["candidate"] == "60 °C"
     assert f"the leader is {leader['candidate']}" in capsys.readouterr().out
 
@@ -568,9 +746,25 @@ def test_what_was_never_visited_is_noted(
     assert not in_a_transient[0]["notes"], "45 °C lie among those that were visited"
 
 
-def test_the_answer_is_printed_as_sentences(session: Path, tmp_path: Path, capsys: Any) -> None:
+def test_the_answer_is_printed_as_sentences(
+    session: Path, tmp_path: Path, capsys: Any
+) -> None:
     picture = tmp_path / "fan.png"
-    assert main(["forecast", str(session), "--at", "500", "--hold", "80", "--figure", str(picture)]) == 0
+    assert (
+        main(
+            [
+                "forecast",
+                str(session),
+                "--at",
+                "500",
+                "--hold",
+                "80",
+                "--figure",
+                str(picture),
+            ]
+        )
+        == 0
+    )
     printed = capsys.readouterr().out
     for words in (
         "At 500 s (sample 500), 80 °C held:",
@@ -584,7 +778,8 @@ def test_the_answer_is_printed_as_sentences(session: Path, tmp_path: Path, capsy
         "The leader is the candidate to forecast with",
     ):
         assert words in printed
-    assert "compared with" not in printed  # the session continued under other set-points
+    # the session continued under other set-points
+    assert "compared with" not in printed
     assert drawn(picture) > 0.01
 
 
@@ -601,10 +796,25 @@ def test_the_shipped_session_is_forecast_within_its_bands(tmp_path: Path) -> Non
     asked_samples = list(range(450, 1650, 100))
     samples = {s.index: s for s in read_session(SHIPPED).samples}
     held_shares = []
-    for forecast in asked(SHIPPED, tmp_path / "out.json", "--reference", "recorded", "--at", *asked_samples):
-        came = np.array([samples[forecast["sample"] + k + 1].output for k in range(len(forecast["t"]))])
+    for forecast in asked(
+        SHIPPED,
+        tmp_path / "out.json",
+        "--reference",
+        "recorded",
+        "--at",
+        *asked_samples,
+    ):
+        came = np.array(
+            [
+                samples[forecast["sample"] + k + 1].output
+                for k in range(len(forecast["t"]))
+            ]
+        )
         held_shares.append(
-            np.mean((np.array(forecast["y"]["low"]) <= came) & (came <= np.array(forecast["y"]["high"])))
+            np.mean(
+                (np.array(forecast["y"]["low"]) <= came)
+                & (came <= np.array(forecast["y"]["high"]))
+            )
         )
     # Twelve forecasts of 300 readings, 90 % of them promised; neighbours share readings and a twin.
     assert 0.8 < np.mean(held_shares) < 0.98

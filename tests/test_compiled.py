@@ -83,11 +83,18 @@ runpy.run_path({entry!r}, run_name="__main__")
 def run(folder: Path, home: Path | None = None) -> str:
     """What the entry of a new process gives, and whether it had to be compiled."""
     keep = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA")}
-    keep |= {"HOME": str(home or folder), "XDG_CACHE_HOME": str((home or folder) / "cache")}
+    keep |= {
+        "HOME": str(home or folder),
+        "XDG_CACHE_HOME": str((home or folder) / "cache"),
+    }
     start = folder / "start.py"
     start.write_text(START.format(folder=str(folder), entry=str(folder / "entry.py")))
     process = Process(
-        *(sys.executable, start), output=folder / "said.txt", environment=keep, folder=folder, forked=True
+        *(sys.executable, start),
+        output=folder / "said.txt",
+        environment=keep,
+        folder=folder,
+        forked=True,
     )
     assert process.wait() == 0, process.text
     return process.text.strip()
@@ -115,10 +122,25 @@ INSIDES = {
     "codegen:JITCodeLibrary.get_pointer_to_function": ("self", "name"),
     "compiler:CompileResult._find_referenced_environments": ("self",),
     "compiler:CompileResult._rebuild": (
-        *("cls", "target_context", "libdata", "fndesc", "env", "signature", "objectmode", "lifted"),
+        *(
+            "cls",
+            "target_context",
+            "libdata",
+            "fndesc",
+            "env",
+            "signature",
+            "objectmode",
+            "lifted",
+        ),
         *("typeann", "reload_init", "referenced_envs"),
     ),
-    "cpu:CPUContext.create_cfunc_wrapper": ("self", "library", "fndesc", "env", "call_helper"),
+    "cpu:CPUContext.create_cfunc_wrapper": (
+        "self",
+        "library",
+        "fndesc",
+        "env",
+        "call_helper",
+    ),
     "cpu:CPUContext.create_cpython_wrapper": (
         *("self", "library", "fndesc", "env", "call_helper", "release_gil"),
     ),
@@ -145,14 +167,22 @@ def test_the_insides_of_numba_that_are_used_are_where_they_were() -> None:
     engine = codegen._engine
     library = codegen.create_library("empty")
     moved = [f"a kernel's {name}" for name in KERNELS if _inside(kernel, name) is None]
-    moved += [] if isinstance(engine._defined_symbols, set) else ["_engine._defined_symbols"]
-    moved += [] if "_shared_module" in vars(library) else ["CPUCodeLibrary._shared_module"]
+    moved += (
+        [] if isinstance(engine._defined_symbols, set) else ["_engine._defined_symbols"]
+    )
+    moved += (
+        [] if "_shared_module" in vars(library) else ["CPUCodeLibrary._shared_module"]
+    )
     for place, parameters in INSIDES.items():
         module, _, name = place.partition(":")
         inside = _inside(importlib.import_module(f"numba.core.{module}"), name)
-        if inside is None or (parameters is not None and tuple(_parameters(inside)) != parameters):
+        if inside is None or (
+            parameters is not None and tuple(_parameters(inside)) != parameters
+        ):
             moved.append(place)
-    assert not moved, f"numba {numba.__version__} moved what src/twinmatch/compiled.py uses"
+    assert not moved, (
+        f"numba {numba.__version__} moved what src/twinmatch/compiled.py uses"
+    )
 
 
 def _inside(whole: Any, path: str) -> Any:
@@ -176,9 +206,24 @@ def test_numba_alone_runs_old_mathematics(tmp_path: Path) -> None:
 
 
 CHANGES = {
-    "called kernel": ("callee.py", "FACTOR * point.x", "FACTOR + point.x * 100.0", "204.0"),
-    "kernel of a module": ("callee.py", "Point(x, 10.0)", "Point(x + 1.0, 10.0)", "205.0"),
-    "constant of a called kernel": ("shape.py", "FACTOR = 3.0", "FACTOR = 5.0", "207.0"),
+    "called kernel": (
+        "callee.py",
+        "FACTOR * point.x",
+        "FACTOR + point.x * 100.0",
+        "204.0",
+    ),
+    "kernel of a module": (
+        "callee.py",
+        "Point(x, 10.0)",
+        "Point(x + 1.0, 10.0)",
+        "205.0",
+    ),
+    "constant of a called kernel": (
+        "shape.py",
+        "FACTOR = 3.0",
+        "FACTOR = 5.0",
+        "207.0",
+    ),
     "fields": ("shape.py", *FIELDS, "515.0"),
 }
 """What a kernel is made from, changed one after the other: file, text, new text, and what the entry gives."""
@@ -196,7 +241,9 @@ def test_whatever_a_kernel_is_made_from_is_compiled_again(tmp_path: Path) -> Non
 
 def test_fields_of_an_argument_need_not_be_named_in_the_kernel(tmp_path: Path) -> None:
     (tmp_path / "shape.py").write_text(SHAPE)
-    (tmp_path / "kernel.py").write_text(f"{OURS}\n@compiled\ndef first(point):\n    return point.x\n")
+    (tmp_path / "kernel.py").write_text(
+        f"{OURS}\n@compiled\ndef first(point):\n    return point.x\n"
+    )
     (tmp_path / "entry.py").write_text(
         "from kernel import first\nfrom shape import Point\nprint(first(Point(2.0, 5.0)))"
     )
@@ -205,7 +252,9 @@ def test_fields_of_an_argument_need_not_be_named_in_the_kernel(tmp_path: Path) -
     assert run(tmp_path) == "5.0"
 
 
-def test_a_kernel_that_was_kept_inside_another_first_returns_arrays(tmp_path: Path) -> None:
+def test_a_kernel_that_was_kept_inside_another_first_returns_arrays(
+    tmp_path: Path,
+) -> None:
     """Both share what numba keeps for a function, which only its own entry point needs in full."""
     (tmp_path / "kernels.py").write_text(
         f"{OURS}\nimport numpy as np\n"
@@ -220,18 +269,26 @@ def test_a_kernel_that_was_kept_inside_another_first_returns_arrays(tmp_path: Pa
     assert run(tmp_path) == "4.0 [3.0, 3.0] 1"
 
 
-def test_what_a_kernel_does_not_use_may_change_and_so_may_comments(tmp_path: Path) -> None:
+def test_what_a_kernel_does_not_use_may_change_and_so_may_comments(
+    tmp_path: Path,
+) -> None:
     write(tmp_path)
     (tmp_path / "other.py").write_text("VALUE = 1")
     change(tmp_path / "entry.py", "import callee", "import callee, other")
     assert run(tmp_path) == "7.0 compiled"
     (tmp_path / "other.py").write_text("VALUE = 2")
     assert run(tmp_path) == "7.0 kept"
-    change(tmp_path / "callee.py", "@compiled\ndef scaled", "# a comment\n\n@compiled\ndef scaled")
+    change(
+        tmp_path / "callee.py",
+        "@compiled\ndef scaled",
+        "# a comment\n\n@compiled\ndef scaled",
+    )
     assert run(tmp_path) == "7.0 kept"
 
 
-def test_a_source_edited_while_a_process_runs_is_compiled_by_the_next(tmp_path: Path) -> None:
+def test_a_source_edited_while_a_process_runs_is_compiled_by_the_next(
+    tmp_path: Path,
+) -> None:
     """What the process had imported is kept under its own stamp, not under that of the edited file."""
     write(tmp_path)
     shutil.copy(tmp_path / "callee.py", tmp_path / "edited.py")
@@ -251,7 +308,11 @@ def test_a_kernel_compiled_in_another_way_is_compiled_again(tmp_path: Path) -> N
     assert run(tmp_path) == "7.0 compiled"
     decorator = "@compiled"
     for options in OPTIONS:
-        change(tmp_path / "callee.py", f"{decorator}\ndef scaled", f"@compiled({options})\ndef scaled")
+        change(
+            tmp_path / "callee.py",
+            f"{decorator}\ndef scaled",
+            f"@compiled({options})\ndef scaled",
+        )
         decorator = f"@compiled({options})"
         assert run(tmp_path) == "7.0 compiled", options
     assert run(tmp_path) == "7.0 kept"
@@ -259,7 +320,10 @@ def test_a_kernel_compiled_in_another_way_is_compiled_again(tmp_path: Path) -> N
 
 def test_a_newer_numba_is_refused_with_a_sentence() -> None:
     check_version("0.68.1")
-    with pytest.raises(NumbaError, match=r"numba 0\.69\.0 is newer than this twinmatch.*numba==0\.68\.\*"):
+    with pytest.raises(
+        NumbaError,
+        match=r"numba 0\.69\.0 is newer than this twinmatch.*numba==0\.68\.\*",
+    ):
         check_version("0.69.0")
 
 
@@ -312,7 +376,9 @@ def test_an_installation_that_cannot_be_written(tmp_path: Path, home: str) -> No
 def test_two_processes_never_give_one_name_to_what_they_compile(tmp_path: Path) -> None:
     """Else a kernel that is kept by both, once inside another, may take the other's data for its own."""
     write(tmp_path)
-    named = "\nprint(*(kept.fndesc.mangled_name for kept in entry.overloads.values()))\n"
+    named = (
+        "\nprint(*(kept.fndesc.mangled_name for kept in entry.overloads.values()))\n"
+    )
     (tmp_path / "entry.py").write_text((tmp_path / "entry.py").read_text() + named)
     names = set()
     for home in ("one", "other"):
@@ -322,7 +388,9 @@ def test_two_processes_never_give_one_name_to_what_they_compile(tmp_path: Path) 
     assert len(names) == 2, names
 
 
-def test_a_cache_that_knows_a_class_of_arguments_that_is_gone_is_left(tmp_path: Path) -> None:
+def test_a_cache_that_knows_a_class_of_arguments_that_is_gone_is_left(
+    tmp_path: Path,
+) -> None:
     """numba unpickles the types of all kernels that it has kept, and fails if one cannot be imported."""
     write(tmp_path)
     first = run(tmp_path)

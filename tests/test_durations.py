@@ -20,11 +20,14 @@ def test_processes_that_still_run_and_their_children_count() -> None:
         "child.wait()\n"
     )
     before = processor_seconds()
-    running = subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    running = subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
     try:
         assert running.stdout is not None
         assert running.stdout.readline() == b"1\n"
-        assert processor_seconds() - before >= 0.55  # 0.3 s each, less the kernel's ticks
+        # 0.3 s each, less the kernel's ticks
+        assert processor_seconds() - before >= 0.55
     finally:
         running.communicate(b"\n")
     assert processor_seconds() - before >= 0.55
@@ -38,7 +41,10 @@ def test_what_a_test_took_is_kept(tmp_path: Path) -> None:
     costs.write(tmp_path / "folder" / "took.json")
     read_back = Costs.read(tmp_path / "folder" / "took.json")
     assert read_back.by_test == costs.by_test
-    assert list(read_back.by_file().items()) == [("b.py", Cost(4.0, 0.1)), ("a.py", Cost(1.5, 0.75))]
+    assert list(read_back.by_file().items()) == [
+        ("b.py", Cost(4.0, 0.1)),
+        ("a.py", Cost(1.5, 0.75)),
+    ]
     assert Costs.read(tmp_path / "none.json").by_test == {}
     part = Costs()
     part.add("b.py::other", Cost(3.0, 0.2))

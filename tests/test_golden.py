@@ -8,12 +8,20 @@ import pytest
 
 from tests.golden import SOURCES, MissingSourceError, compare, entry_of
 
-LONG = {"fmu": pytest.mark.long("compiles an FMU, and judges an hour with it in a process of its own")}
+LONG = {
+    "fmu": pytest.mark.long(
+        "compiles an FMU, and judges an hour with it in a process of its own"
+    )
+}
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=LONG.get(name, ())) for name in SOURCES if not name.startswith("rig_")],
+    [
+        pytest.param(name, marks=LONG.get(name, ()))
+        for name in SOURCES
+        if not name.startswith("rig_")
+    ],
 )
 def test_results_are_the_golden_ones(name: str, tmp_path: Path) -> None:
     """`python -m tests.golden` says the same faster; with `--make` it writes them again.

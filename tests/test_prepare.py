@@ -58,7 +58,8 @@ def test_what_compiles_beside_ends_when_prepare_is_killed(tmp_path: Path) -> Non
 def test_a_replay_uses_no_kernel_that_was_not_prepared(tmp_path: Path) -> None:
     script = tmp_path / "use.py"
     script.write_text(USE)
-    session = write_session(tmp_path / "half", read_session(SHIPPED).samples[:1010])  # four matches
+    # four matches
+    session = write_session(tmp_path / "half", read_session(SHIPPED).samples[:1010])
     words = (sys.executable, script, session)
     process = Process(*words, output=tmp_path / "said.txt", forked=True)
     assert process.wait() == 0, process.text

@@ -31,9 +31,17 @@ ESCAPED = r"\x1b]0;owned\x07\x1b[2J\x9b31m\u202egnp.\r[/bold]:bomb:"
 
 
 def test_what_controls_a_terminal_is_escaped_and_nothing_else() -> None:
-    for code in (*range(0x3000), *range(0xD7F0, 0xE010), *range(0xFE00, 0xFF10), *range(0xE0000, 0xE0080)):
+    for code in (
+        *range(0x3000),
+        *range(0xD7F0, 0xE010),
+        *range(0xFE00, 0xFF10),
+        *range(0xE0000, 0xE0080),
+    ):
         letter = chr(code)
-        odd = unicodedata.category(letter) in {"Cc", "Cs", "Zl", "Zp"} and letter not in "\n\t"
+        odd = (
+            unicodedata.category(letter) in {"Cc", "Cs", "Zl", "Zp"}
+            and letter not in "\n\t"
+        )
         assert odd <= (printable(letter) != letter), hex(code)
         assert printable(letter).isascii() or printable(letter) == letter
     harmless = "60 °C · ν-gap ▶ ○ → “words” −1 000 ²³⁸ é\n\t日本語"
@@ -77,7 +85,9 @@ def test_a_table_and_a_view_have_the_consoles_own_control_sequences_alone() -> N
         assert bad not in shown
 
 
-def test_a_verdicts_texts_stay_in_their_lines(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_verdicts_texts_stay_in_their_lines(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     with printable_output():
         Lines().take_verdict(replace(LED, leader=f"a\n{EVIL}", reason=f"b\n{EVIL}"))
     printed = capsys.readouterr().out
@@ -91,7 +101,9 @@ def test_names_in_a_foreign_bag_are_listed_escaped(tmp_path: Path) -> None:
     with SessionWriter(tmp_path / "bag") as writer:
         writer.add_topic(SAMPLE._replace(name=name))
         for k in range(5):
-            writer.write(name, encode_sample(Sample(k, k * 10**9, 1.0, 2.0, 3.0)), k * 10**9)
+            writer.write(
+                name, encode_sample(Sample(k, k * 10**9, 1.0, 2.0, 3.0)), k * 10**9
+            )
     for words in ((tmp_path / "bag", "--list"), (tmp_path / TITLE, "--list")):
         completed = run_twinmatch("import", *words)
         printed = completed.stdout + completed.stderr

@@ -8,10 +8,20 @@ from typing import Any
 
 import pytest
 
-from twinmatch.requirements import FINITE, RISING, SHARE, Among, Requirement, Sized, Within
+from twinmatch.requirements import (
+    FINITE,
+    RISING,
+    SHARE,
+    Among,
+    Requirement,
+    Sized,
+    Within,
+)
 
 MESSAGE = SimpleNamespace(
-    names=["a", "b"], parts=[SimpleNamespace(name="p"), SimpleNamespace(name="q")], horizons=[1.0]
+    names=["a", "b"],
+    parts=[SimpleNamespace(name="p"), SimpleNamespace(name="q")],
+    horizons=[1.0],
 )
 OWNER = SimpleNamespace(horizons=[1.0, 2.0, 3.0])
 
@@ -32,10 +42,18 @@ OWNER = SimpleNamespace(horizons=[1.0, 2.0, 3.0])
         (RISING, [-1.0, 1.0], "x does not rise from 0 on"),
         (RISING, [math.nan], "x does not rise from 0 on"),
         (Sized("names", "its names"), [1.0, 2.0], ""),
-        (Sized("names", "its names"), [1.0], "x has 1 values for its names; expected 2"),
+        (
+            Sized("names", "its names"),
+            [1.0],
+            "x has 1 values for its names; expected 2",
+        ),
         (Sized("names", "its names"), [], "x has 0 values for its names; expected 2"),
         (Sized("names", "its names", may_be_empty=True), [], ""),
-        (Sized("names", "its names", square=True), [1.0] * 3, "x has 3 values for its names; expected 4"),
+        (
+            Sized("names", "its names", square=True),
+            [1.0] * 3,
+            "x has 3 values for its names; expected 4",
+        ),
         (Sized("names", "its names", rows=3), [1.0] * 6, ""),
         (Sized("horizons", "its horizons", by_owner=True), [1.0] * 3, ""),
         (Among("names", "name"), ["b", "", "a"], ""),

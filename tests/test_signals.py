@@ -11,7 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.signals import Sample, SignalError, Window, joined, rms, stretches, unbroken
+from twinmatch.signals import (
+    Sample,
+    SignalError,
+    Window,
+    joined,
+    rms,
+    stretches,
+    unbroken,
+)
 from twinmatch.units import UnitError, conversion, measure
 
 
@@ -20,7 +28,10 @@ def samples(*indices: int) -> list[Sample]:
 
 
 def disturbed(*rows: tuple[float, ...]) -> list[Sample]:
-    return [replace(sample, disturbances=row) for sample, row in zip(samples(4, 5, 6), rows, strict=True)]
+    return [
+        replace(sample, disturbances=row)
+        for sample, row in zip(samples(4, 5, 6), rows, strict=True)
+    ]
 
 
 def test_a_window_and_its_parts_know_their_samples_and_times() -> None:
@@ -37,8 +48,12 @@ def test_a_window_and_its_parts_know_their_samples_and_times() -> None:
 
 def test_disturbances_go_with_the_samples() -> None:
     window = Window.from_samples(disturbed((21.0, 0.5), (22.0, 0.6), (23.0, 0.7)))
-    np.testing.assert_array_equal(window.disturbances, [[21.0, 0.5], [22.0, 0.6], [23.0, 0.7]])
-    np.testing.assert_array_equal(window.part(5, 6).disturbances, [[22.0, 0.6], [23.0, 0.7]])
+    np.testing.assert_array_equal(
+        window.disturbances, [[21.0, 0.5], [22.0, 0.6], [23.0, 0.7]]
+    )
+    np.testing.assert_array_equal(
+        window.part(5, 6).disturbances, [[22.0, 0.6], [23.0, 0.7]]
+    )
     with pytest.raises(ValueError, match="read-only"):
         window.disturbances[0, 0] = 1.0
 
@@ -47,12 +62,17 @@ def test_several_signals_go_with_the_samples() -> None:
     rows = [Sample(k, k, (1.0, 2.0), (k + 0.5, 4.0), (5.0,)) for k in (3, 4)]
     assert rows[0].shape == (2, 2, 1, 0)
     assert rows[0].input == 5.0
-    with pytest.raises(SignalError, match="output: there are 2 of them; this is for a loop with one of each"):
+    with pytest.raises(
+        SignalError,
+        match="output: there are 2 of them; this is for a loop with one of each",
+    ):
         _ = rows[0].output
     window = Window.from_samples(rows)
     np.testing.assert_array_equal(window.outputs, [[3.5, 4.0], [4.5, 4.0]])
     np.testing.assert_array_equal(window.input, [5.0, 5.0])
-    with pytest.raises(SignalError, match="sample 5 has 1 outputs, sample 4 has 2; they must be equal"):
+    with pytest.raises(
+        SignalError, match="sample 5 has 1 outputs, sample 4 has 2; they must be equal"
+    ):
         Window.from_samples([rows[1], replace(rows[1], index=5, outputs=3.0)])
 
 
@@ -71,21 +91,40 @@ def test_windows_are_read_only_copies() -> None:
         (lambda: Window.from_samples([]), "no sample"),
         (lambda: Window.from_samples(samples(1, 3)), "sample 3 follows sample 1"),
         (lambda: Window(np.zeros(2), np.zeros(3), np.zeros(2)), "lengths"),
-        (lambda: Window(np.zeros((2, 2, 1)), np.zeros(2), np.zeros(2)), "references have shape"),
-        (lambda: Window(np.zeros(2), np.array([0.0, np.nan]), np.zeros(2), first=7), "nan at sample 8"),
-        (lambda: Window(np.zeros(2), np.zeros(2), np.zeros(2), period=0.0), "period is 0.0 s"),
-        (lambda: Window.from_samples(samples(1, 2)).part(0, 2), "samples 0 to 2 requested"),
-        (lambda: Window.from_samples(disturbed((1.0,), (1.0,), ())), "sample 6 has 0 disturbances, sample 4"),
+        (
+            lambda: Window(np.zeros((2, 2, 1)), np.zeros(2), np.zeros(2)),
+            "references have shape",
+        ),
+        (
+            lambda: Window(np.zeros(2), np.array([0.0, np.nan]), np.zeros(2), first=7),
+            "nan at sample 8",
+        ),
+        (
+            lambda: Window(np.zeros(2), np.zeros(2), np.zeros(2), period=0.0),
+            "period is 0.0 s",
+        ),
+        (
+            lambda: Window.from_samples(samples(1, 2)).part(0, 2),
+            "samples 0 to 2 requested",
+        ),
+        (
+            lambda: Window.from_samples(disturbed((1.0,), (1.0,), ())),
+            "sample 6 has 0 disturbances, sample 4",
+        ),
         (
             lambda: Window.from_samples(disturbed((1.0,), (np.nan,), (1.0,))),
             "disturbances is nan at sample 5",
         ),
         (
-            lambda: Window.from_samples(samples(1, 2)).joined(Window.from_samples(samples(4))),
+            lambda: Window.from_samples(samples(1, 2)).joined(
+                Window.from_samples(samples(4))
+            ),
             "sample 4 follows sample 2",
         ),
         (
-            lambda: Window.from_samples(samples(1)).joined(Window.from_samples(samples(2), 0.5)),
+            lambda: Window.from_samples(samples(1)).joined(
+                Window.from_samples(samples(2), 0.5)
+            ),
             r"periods of 1.0 s and 0.5 s",
         ),
         (
@@ -94,8 +133,14 @@ def test_windows_are_read_only_copies() -> None:
             ),
             "0 and 1 disturbances",
         ),
-        (lambda: Window(*np.zeros((3, 2)), disturbances=np.zeros(2)), r"disturbances have shape \(2,\)"),
-        (lambda: Window(*np.zeros((3, 2)), disturbances=np.zeros((3, 1))), "for each of the 2 samples"),
+        (
+            lambda: Window(*np.zeros((3, 2)), disturbances=np.zeros(2)),
+            r"disturbances have shape \(2,\)",
+        ),
+        (
+            lambda: Window(*np.zeros((3, 2)), disturbances=np.zeros((3, 1))),
+            "for each of the 2 samples",
+        ),
     ],
 )
 def test_what_is_not_a_window_is_refused(make: object, message: str) -> None:
@@ -146,11 +191,18 @@ def test_a_stretch_that_is_taken_apart_and_joined_has_lost_nothing(
         last = data.draw(st.integers(first, whole.last))
         parts.append(whole.part(data.draw(st.integers(whole.first, first)), last))
         first = last + 1
-    rejoined = reduce(Window.joined, (parts[0].part(whole.first, parts[0].last), *parts[1:]))
+    rejoined = reduce(
+        Window.joined, (parts[0].part(whole.first, parts[0].last), *parts[1:])
+    )
     for field in fields(Window):
-        np.testing.assert_array_equal(getattr(rejoined, field.name), getattr(whole, field.name))
+        np.testing.assert_array_equal(
+            getattr(rejoined, field.name), getattr(whole, field.name)
+        )
     assert rejoined.samples(begin) == run
-    assert joined(part.samples(begin) for part in parts) == run[parts[0].first - whole.first :]
+    assert (
+        joined(part.samples(begin) for part in parts)
+        == run[parts[0].first - whole.first :]
+    )
 
 
 @given(recorded(), st.sets(st.integers(0, 19)))
@@ -164,17 +216,28 @@ def test_stretches_between_gaps_hold_every_sample(
     assert all(after.first > before.last + 1 for before, after in pairwise(windows))
 
 
-@given(recorded(), st.sets(st.integers(0, 19)), st.lists(st.tuples(st.integers(0, 20), st.integers(0, 3))))
+@given(
+    recorded(),
+    st.sets(st.integers(0, 19)),
+    st.lists(st.tuples(st.integers(0, 20), st.integers(0, 3))),
+)
 def test_a_run_in_pieces_is_the_run(
     run: tuple[list[Sample], float, int], gaps: set[int], cuts: list[tuple[int, int]]
 ) -> None:
     """Wherever it is cut, however the pieces overlap, and wherever samples are missing."""
     remaining = [sample for k, sample in enumerate(run[0]) if k not in gaps]
     ends = sorted(cut for cut, _ in cuts)
-    begins = [max(0, end - overlap) for end, (_, overlap) in zip(ends, cuts, strict=True)]
-    pieces = [remaining[a:b] for a, b in zip([0, *begins], [*ends, len(remaining)], strict=True)]
+    begins = [
+        max(0, end - overlap) for end, (_, overlap) in zip(ends, cuts, strict=True)
+    ]
+    pieces = [
+        remaining[a:b]
+        for a, b in zip([0, *begins], [*ends, len(remaining)], strict=True)
+    ]
     assert joined(pieces) == remaining
-    of_another_plant = [replace(sample, disturbances=(0.0,) * 9) for sample in remaining]
+    of_another_plant = [
+        replace(sample, disturbances=(0.0,) * 9) for sample in remaining
+    ]
     assert joined([*pieces, of_another_plant]) == remaining
 
 
@@ -187,7 +250,10 @@ def test_what_continues_and_what_follows_a_sample() -> None:
         (before, False, False),
         (replace(after, disturbances=(1.0,)), False, False),
     ):
-        assert (sample.continues(before), sample.follows(before)) == (continues, follows)
+        assert (sample.continues(before), sample.follows(before)) == (
+            continues,
+            follows,
+        )
 
 
 # Units: against the definitions of the International System, and what people write in brackets.
@@ -209,12 +275,16 @@ def test_what_continues_and_what_follows_a_sample() -> None:
         ("PWM", "PWM", 17.0, 17.0),
     ],
 )
-def test_values_are_brought_to_another_unit(given_unit: str, wanted: str, value: float, is_: float) -> None:
+def test_values_are_brought_to_another_unit(
+    given_unit: str, wanted: str, value: float, is_: float
+) -> None:
     scale, offset = conversion(given_unit, wanted)
     assert scale * value + offset == pytest.approx(is_, rel=1e-12, abs=1e-12)
 
 
-@pytest.mark.parametrize(("given_unit", "wanted"), [("V", "°C"), ("PWM", "V"), ("s", ""), ("W/K", "W")])
+@pytest.mark.parametrize(
+    ("given_unit", "wanted"), [("V", "°C"), ("PWM", "V"), ("s", ""), ("W/K", "W")]
+)
 def test_what_measures_something_else_is_refused(given_unit: str, wanted: str) -> None:
     with pytest.raises(UnitError, match="cannot be converted"):
         conversion(given_unit, wanted)
@@ -233,19 +303,46 @@ def test_there_and_back_is_the_same(units: tuple[str, str], value: float) -> Non
 
 def test_units_are_known_by_all_their_spellings_and_by_what_they_measure() -> None:
     for written, plain in (
-        *(("deg.C", "°C"), ("ºC", "°C"), ("Celsius", "°C"), ("pct", "%"), ("percent", "%"), ("LPM", "l/min")),
-        *(("L/min", "l/min"), ("RPM", "rpm"), ("U/min", "rpm"), ("W/m2K", "W/(m² K)"), ("m3/h", "m³/h")),
-        *(("m/s2", "m/s²"), ("Nm", "N m"), ("J/kgK", "J/(kg K)"), ("kOhm", "kΩ"), ("Volt", "V"), ("pH", "")),
+        *(
+            ("deg.C", "°C"),
+            ("ºC", "°C"),
+            ("Celsius", "°C"),
+            ("pct", "%"),
+            ("percent", "%"),
+            ("LPM", "l/min"),
+        ),
+        *(
+            ("L/min", "l/min"),
+            ("RPM", "rpm"),
+            ("U/min", "rpm"),
+            ("W/m2K", "W/(m² K)"),
+            ("m3/h", "m³/h"),
+        ),
+        *(
+            ("m/s2", "m/s²"),
+            ("Nm", "N m"),
+            ("J/kgK", "J/(kg K)"),
+            ("kOhm", "kΩ"),
+            ("Volt", "V"),
+            ("pH", ""),
+        ),
     ):
         assert measure(written) == measure(plain), written
         assert measure(written).known
-    assert measure("V A").dimension == measure("W").dimension == measure("J/s").dimension
+    assert (
+        measure("V A").dimension == measure("W").dimension == measure("J/s").dimension
+    )
     assert measure("kW").factor == pytest.approx(1000 * measure("W").factor)
     assert measure("°C").offset
     assert not measure("K").offset
     assert not measure("PWM").known
     assert not measure("(%").known
-    assert measure("PWM").dimension == measure("%").dimension == measure("").dimension == ()
+    assert (
+        measure("PWM").dimension
+        == measure("%").dimension
+        == measure("").dimension
+        == ()
+    )
 
 
 def test_an_error_counts_in_the_unit_of_its_signal() -> None:
@@ -254,4 +351,6 @@ def test_an_error_counts_in_the_unit_of_its_signal() -> None:
     unit = np.array([[1.0], [100.0]])
     assert rms(errors, unit).tolist() == [3.0, 4.0]
     assert rms(rms(errors, unit)) == pytest.approx(np.sqrt(12.5))
-    assert rms(errors, axis=0).tolist() == pytest.approx(np.sqrt((9.0 + 160000.0) / 2.0).repeat(2).tolist())
+    assert rms(errors, axis=0).tolist() == pytest.approx(
+        np.sqrt((9.0 + 160000.0) / 2.0).repeat(2).tolist()
+    )

@@ -42,16 +42,22 @@ def test_a_unit_that_would_take_for_ever_is_not_read(endless: str) -> None:
         ("square meter", {"[length]": 2.0}),
     ],
 )
-def test_units_as_people_write_them_are_read(unit: str, powers: dict[str, float]) -> None:
+def test_units_as_people_write_them_are_read(
+    unit: str, powers: dict[str, float]
+) -> None:
     assert is_readable(unit)
     assert dict(measure(unit).dimension) == powers
 
 
-@pytest.mark.parametrize("unit", ["°C", "%", "rpm", "mS/cm", "PWM", "NTU", "", "W/(m² K)"])
+@pytest.mark.parametrize(
+    "unit", ["°C", "%", "rpm", "mS/cm", "PWM", "NTU", "", "W/(m² K)"]
+)
 def test_what_people_write_behind_a_name_is_a_unit(unit: str) -> None:
     assert is_unit(unit)
 
 
-@pytest.mark.parametrize("text", ["left", "inside", "raw value", "banana", "m**9**9**9", "Sensor"])
+@pytest.mark.parametrize(
+    "text", ["left", "inside", "raw value", "banana", "m**9**9**9", "Sensor"]
+)
 def test_a_remark_in_its_place_is_not(text: str) -> None:
     assert not is_unit(text)

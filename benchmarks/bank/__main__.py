@@ -52,10 +52,14 @@ def row(mishap: str, runs: list[list[ChannelAlarm]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.bank", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.bank", description=__doc__
+    )
     parser.add_argument("kits", type=int)
     parser.add_argument("--seed", type=int, default=0, help="that of the first kit")
-    parser.add_argument("--only", choices=MISHAPS, action="append", help="mishaps; default: all")
+    parser.add_argument(
+        "--only", choices=MISHAPS, action="append", help="mishaps; default: all"
+    )
     parser.add_argument("--verbose", action="store_true", help="a line for each alarm")
     options = parser.parse_args()
     costs = []
@@ -67,7 +71,10 @@ def main() -> None:
             runs.append(alarms)
             costs.append(cost)
             for a in alarms if options.verbose else ():
-                near = ", ".join(f"{f.cause[0].value} {f.cause[1]} {f.evidence:.1f}" for f in a.suspects[:4])
+                near = ", ".join(
+                    f"{f.cause[0].value} {f.cause[1]} {f.evidence:.1f}"
+                    for f in a.suspects[:4]
+                )
                 print(
                     f"  {seed} {a.flagged} {a.fault.value} {a.signal} since {a.first}, over {a.last}: {near}"
                 )

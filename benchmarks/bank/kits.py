@@ -33,12 +33,17 @@ def typical() -> Parameters:
     return TCLabBoth.model(TCLabBoth.followed).typical()
 
 
-def run(seed: int, mishap: str, size: int = SIZE, begins: int = BEGINS) -> Iterator[Sample]:
+def run(
+    seed: int, mishap: str, size: int = SIZE, begins: int = BEGINS
+) -> Iterator[Sample]:
     """One of many kits, whose parameters differ by up to a quarter, in a room that becomes warmer and colder
     by 0.8 K; its set-points step every few minutes."""
     random = np.random.default_rng(seed)
     base = typical()
-    other = {k: base[k] * math.exp(random.uniform(-0.22, 0.22)) for k in base.model.structure.free}
+    other = {
+        k: base[k] * math.exp(random.uniform(-0.22, 0.22))
+        for k in base.model.structure.free
+    }
     room = random.uniform(292.0, 299.0)
     phase = random.uniform(0.0, 2.0 * math.pi)
     kit = base.replace(**{**other, "ambient": room})
@@ -55,10 +60,17 @@ def run(seed: int, mishap: str, size: int = SIZE, begins: int = BEGINS) -> Itera
             wanted = np.where((np.arange(2) == which) | (which == 2), level, wanted)
             steps_at = k + int(random.uniform(200.0, 500.0))
         on = mishap if begins <= k < ENDS else "nothing"
-        now = kit.replace(ambient=room + 0.8 * math.sin(2.0 * math.pi * k / 3600.0 + phase))
+        now = kit.replace(
+            ambient=room + 0.8 * math.sin(2.0 * math.pi * k / 3600.0 + phase)
+        )
         if on.startswith("losses"):
             now = now.replace(losses=2.5 * kit["losses"])
-        y = np.round((readings(now, x) + _NOISE * random.standard_normal(2)) / RESOLUTION) * RESOLUTION
+        y = (
+            np.round(
+                (readings(now, x) + _NOISE * random.standard_normal(2)) / RESOLUTION
+            )
+            * RESOLUTION
+        )
         signal = int(on[1:2] or 1) - 1 if on[0] in "TQ" else 0
         if on.endswith("°C"):
             y[signal] += float(on.split()[1])

@@ -118,7 +118,11 @@ def compiled(function: _Function, /) -> _Function: ...
 
 @overload
 def compiled(
-    *, inside: bool = False, inlined: bool = False, innermost: bool = False, addressed: bool = False
+    *,
+    inside: bool = False,
+    inlined: bool = False,
+    innermost: bool = False,
+    addressed: bool = False,
 ) -> Callable[[_Function], _Function]: ...
 
 
@@ -145,7 +149,12 @@ def compiled(
             that cost no more than a call.
         addressed: it has an entry point for C, too.
     """
-    options = {"inside": inside, "inlined": inlined, "innermost": innermost, "addressed": addressed}
+    options = {
+        "inside": inside,
+        "inlined": inlined,
+        "innermost": innermost,
+        "addressed": addressed,
+    }
     if function is None:
         return functools.partial(compiled, **options)
     vars(function)[_OPTIONS] = options
@@ -169,7 +178,10 @@ def compiled(
 
 def _of_kinds(template: Callable[..., Any], args: Any, kws: Any) -> Any:
     """One kernel for all values of an argument; numba would compile another for each constant truth value."""
-    return template(tuple(map(types.unliteral, args)), {k: types.unliteral(v) for k, v in kws.items()})
+    return template(
+        tuple(map(types.unliteral, args)),
+        {k: types.unliteral(v) for k, v in kws.items()},
+    )
 
 
 class _Part(JITCodeLibrary):
@@ -186,7 +198,7 @@ class _Part(JITCodeLibrary):
         self._finalize_dynamic_globals()
         self._finalized = True
 
-    def get_pointer_to_function(self, name: str) -> int:  # noqa: ARG002 (numba's interface)
+    def get_pointer_to_function(self, name: str) -> int:  # noqa: ARG002
         self._ensure_finalized()
         return 0
 
@@ -222,7 +234,7 @@ def _compile_part(compile_: Callable[..., Any], *args: Any) -> Any:
         codegen._library_class, codegen.set_env = before
 
 
-def _compile_entry(part: Any, addressed: bool, args: Any, return_type: Any) -> Any:  # noqa: ARG001 (as numba)
+def _compile_entry(part: Any, addressed: bool, args: Any, return_type: Any) -> Any:  # noqa: ARG001
     """An entry point from Python: the kernel with all that it calls, optimised once.
 
     Parallel sums are combined into vector instructions; each sum still has a fixed order.
@@ -263,7 +275,8 @@ class _Cache:
     def _kernel_cache(self) -> Any:
         try:
             return _KernelCache(self._function)
-        except RuntimeError:  # no folder to write to, neither beside the source nor in the user's home
+        except RuntimeError:
+            # no folder to write to, neither beside the source nor in the user's home
             return NullCache()
 
     def __getattr__(self, name: str) -> Any:
@@ -278,26 +291,36 @@ class _KernelFiles(CompileResultCacheImpl):
     def reduce(self, result: Any) -> tuple[Any, ...]:
         """As numba's, but without references to the modules of the functions inside a kernel."""
         *whole, inner = super().reduce(result)
-        return (*whole, [(env.globals["__name__"], env.consts, env.env_name) for env in inner])
+        return (
+            *whole,
+            [(env.globals["__name__"], env.consts, env.env_name) for env in inner],
+        )
 
     def rebuild(self, target_context: Any, reduced: tuple[Any, ...]) -> Any:
         """The kernel, ready to be called: three times as fast as numba, which imports the modules of all
         functions inside and parses the intermediate code."""
         whole, described, *further, inner = reduced
-        target_context.codegen()._engine._defined_symbols.add(described.llvm_cpython_wrapper_name)
+        target_context.codegen()._engine._defined_symbols.add(
+            described.llvm_cpython_wrapper_name
+        )
         environments = [_environment(*arguments) for arguments in inner]
-        return super().rebuild(target_context, (whole, described, *further, environments))
+        return super().rebuild(
+            target_context, (whole, described, *further, environments)
+        )
 
 
 def _environment(module: str, constants: list[Any], name: str) -> Environment:
     """The environment of a function inside a kernel."""
     environment = lookup_environment(name)
     if environment is None:
-        names = vars(sys.modules[module]) if module in sys.modules else {"__name__": module}
+        names = (
+            vars(sys.modules[module]) if module in sys.modules else {"__name__": module}
+        )
         environment = Environment(names)
         environment.env_name = name
         Environment._memo[name] = environment
-    if len(constants) > len(environment.consts):  # an entry point adds those of its results
+    if len(constants) > len(environment.consts):
+        # an entry point adds those of its results
         environment.consts[:] = constants
     return environment
 
@@ -321,7 +344,9 @@ class _KernelCache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         # numba would load its whole compiler first (a fifth of a second), needed only to compile.
         rtsys.initialize(target_context)
-        return self._load_overload(sig, target_context) or super().load_overload(sig, target_context)
+        return self._load_overload(sig, target_context) or super().load_overload(
+            sig, target_context
+        )
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         # numba identifies named-tuple arguments by class name only; their fields may change.
@@ -346,7 +371,11 @@ def _fields(kind: Any) -> Iterator[tuple[str, ...]]:
     """Fields of all named tuples in a signature or a type."""
     if isinstance(kind, numba.types.BaseNamedTuple):
         yield tuple(kind.fields)
-    members = kind if isinstance(kind, (tuple, numba.types.BaseTuple)) else getattr(kind, "args", ())
+    members = (
+        kind
+        if isinstance(kind, (tuple, numba.types.BaseTuple))
+        else getattr(kind, "args", ())
+    )
     for member in members:
         yield from _fields(member)
 
@@ -367,7 +396,8 @@ def _stamp(function: FunctionType) -> str:
                 waiting.append(value.py_func)
             elif isinstance(value, FunctionType):
                 waiting.append(value)
-            elif isinstance(getattr(value, "_defn", None), FunctionType):  # one of our intrinsics
+            elif isinstance(getattr(value, "_defn", None), FunctionType):
+                # one of our intrinsics
                 waiting.append(value._defn)
             elif isinstance(value, type):
                 ingredients.add(_hash_of_class(value))
@@ -380,7 +410,13 @@ def _stamp(function: FunctionType) -> str:
 def _hash_of_function(function: FunctionType) -> bytes:
     """Hash of a function as it was imported: its code, defaults and options, but no line numbers."""
     defaults = function.__defaults__, function.__kwdefaults__
-    text = repr((function.__qualname__, vars(function).get(_OPTIONS), _contents(function.__code__)))
+    text = repr(
+        (
+            function.__qualname__,
+            vars(function).get(_OPTIONS),
+            _contents(function.__code__),
+        )
+    )
     return _hash(text.encode() + _bytes_of(defaults))
 
 
@@ -395,7 +431,12 @@ def _contents(code: CodeType) -> tuple[Any, ...]:
         else:
             constants.append(constant)
     names = code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
-    arguments = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
+    arguments = (
+        code.co_argcount,
+        code.co_posonlyargcount,
+        code.co_kwonlyargcount,
+        code.co_flags,
+    )
     return code.co_code, code.co_exceptiontable, constants, names, arguments
 
 
@@ -405,7 +446,10 @@ def _hash_of_class(kind: type) -> bytes:
     name = f"{kind.__module__}.{kind.__qualname__}".encode()
     fields = getattr(kind, "_fields", None)
     if fields is None:
-        return _hash(name + _hash_of_file(getattr(sys.modules.get(kind.__module__), "__file__", None)))
+        return _hash(
+            name
+            + _hash_of_file(getattr(sys.modules.get(kind.__module__), "__file__", None))
+        )
     return _hash(name + _bytes_of((fields, getattr(kind, "_field_defaults", {}))))
 
 
@@ -414,7 +458,8 @@ def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
     names = set(_names(function.__code__))
     cells = function.__closure__ or ()
     scope = function.__globals__ | {
-        n: c.cell_contents for n, c in zip(function.__code__.co_freevars, cells, strict=True)
+        n: c.cell_contents
+        for n, c in zip(function.__code__.co_freevars, cells, strict=True)
     }
     for name in names | set(function.__code__.co_freevars):
         value = scope.get(name)

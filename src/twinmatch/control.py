@@ -19,7 +19,14 @@ from numpy.typing import ArrayLike
 from twinmatch.dynamics import Controller, Law, PidGains, Plant, law_of, pids_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.safety import LawTrial, TrialPhase
-from twinmatch.signals import NANOSECONDS, FloatArray, Sample, Signals, one_of_each, point_values
+from twinmatch.signals import (
+    NANOSECONDS,
+    FloatArray,
+    Sample,
+    Signals,
+    one_of_each,
+    point_values,
+)
 
 __all__ = ["ControlError", "Loop", "Profile"]
 
@@ -70,7 +77,9 @@ class Profile:
         if not self.levels or len(self.levels) != len(self.holds):
             numbers = f"{len(self.levels)} levels and {len(self.holds)} times are given"
             yield f"{numbers}; give one time per level, and at least one level"
-        for number, (level, hold) in enumerate(zip(self.levels, self.holds, strict=True), 1):
+        for number, (level, hold) in enumerate(
+            zip(self.levels, self.holds, strict=True), 1
+        ):
             if not self.lowest <= level <= self.highest:
                 yield f"level {number} is {level:g} {unit}; give one in the safe range, {allowed}"
             if not (math.isfinite(hold) and hold > 0):
@@ -157,7 +166,9 @@ class Loop:
         self._plant = plant
         law = law or law_of(plant, 1.0)
         self._gains = pids_of(law)
-        if len(self._gains) != len(plant.outputs) or len(self._gains) != len(plant.drives):
+        if len(self._gains) != len(plant.outputs) or len(self._gains) != len(
+            plant.drives
+        ):
             raise ControlError(
                 f"loop: the law of plant {plant.name} is a {type(law).__name__}; give a PID for each of its "
                 f"{len(plant.outputs)} outputs and {len(plant.drives)} drives"
@@ -179,8 +190,13 @@ class Loop:
         controller continues from there."""
         self.limits = [math.inf] * len(self._gains)
         """The most that passes: samples have no higher inputs, and the controller continues from there."""
-        rows = repeat(None) if state is None else np.reshape(state, (len(self._gains), -1))
-        self._pids = [Controller(gains, row) for gains, row in zip(self._gains, rows, strict=False)]
+        rows = (
+            repeat(None) if state is None else np.reshape(state, (len(self._gains), -1))
+        )
+        self._pids = [
+            Controller(gains, row)
+            for gains, row in zip(self._gains, rows, strict=False)
+        ]
         self.trial: LawTrial | None = None
         """Watches a law on trial; None: there never was one."""
         self._beside: tuple[PidGains, ...] = ()
@@ -240,8 +256,13 @@ class Loop:
         disturbances or of what is taken, are only counted.
         """
         read = point_values(outputs)
-        whole = len(read) == len(self._pids) and len(disturbances) in (0, len(self._plant.disturbances))
-        whole = whole and len(taken) in (0, len(read)) and not any(map(math.isinf, taken))
+        whole = len(read) == len(self._pids) and len(disturbances) in (
+            0,
+            len(self._plant.disturbances),
+        )
+        whole = (
+            whole and len(taken) in (0, len(read)) and not any(map(math.isinf, taken))
+        )
         if whole and all(map(math.isfinite, (*read, *disturbances))):
             self._outputs = read
             self._measured = stamp
@@ -250,7 +271,9 @@ class Loop:
         else:
             self.refused += 1
 
-    def tick(self, now: int, profile: Callable[[float], Sequence[float] | float | None]) -> Sample | None:
+    def tick(
+        self, now: int, profile: Callable[[float], Sequence[float] | float | None]
+    ) -> Sample | None:
         """Take the time of a tick; return its sample, if there is one.
 
         If there is none, `trouble` says why the output is off, or the tick did not count.
@@ -279,7 +302,9 @@ class Loop:
         if self.trying and (self.held or min(self.limits) < math.inf):
             self.take_back("the guard holds or limits the drive")
         commands = self._commands(references)
-        return Sample(number, now, references, self._outputs, tuple(commands), self._disturbances)
+        return Sample(
+            number, now, references, self._outputs, tuple(commands), self._disturbances
+        )
 
     def _switch_off(self, trouble: str, number: int) -> None:
         """Switch the output off at a tick that makes no sample."""
@@ -325,9 +350,13 @@ class Loop:
                 f"loop: a law on trial is {len(self._gains)} PIDs, every {self.period:g} s; give those"
             )
         if not all(loop_gains.integral for loop_gains in gains):
-            raise ControlError("loop: a law without integral gain cannot take over without a bump; give one")
+            raise ControlError(
+                "loop: a law without integral gain cannot take over without a bump; give one"
+            )
         if self.trying:
-            raise ControlError("loop: a law is on trial already; take it back first, or wait")
+            raise ControlError(
+                "loop: a law is on trial already; take it back first, or wait"
+            )
         self.trial = trial
         self._beside = gains
         self._shadows = [Controller(loop_gains) for loop_gains in gains]
@@ -372,7 +401,9 @@ class Loop:
         self._show(trial, [self._outputs])
         if not trial.drives and not trial.ended:
             for k, pid in enumerate(self._shadows if not before else ()):
-                pid.state = self._continued(k, references[k], self._outputs[k], self._beside[k])
+                pid.state = self._continued(
+                    k, references[k], self._outputs[k], self._beside[k]
+                )
             loops = zip(self._shadows, references, self._outputs, strict=True)
             self.shadow = tuple(float(pid.step(r, y)[0]) for pid, r, y in loops)
 
@@ -398,7 +429,8 @@ class Loop:
         late = tick_time - self._origin - expected * self._period
         if tick_time < self._newest:  # the clock was set back
             self._origin = tick_time - (expected + 1) * self._period
-            self._measured = None  # stamped by the old time; it would seem fresh until the clock caught up
+            # stamped by the old time; it would seem fresh until the clock caught up
+            self._measured = None
             self.missed += 1
             self.jitter = 0.0
             return expected + 1
@@ -415,7 +447,9 @@ class Loop:
     def _doubt(self, tick_time: int, references: Signals | None) -> str:
         """Why there is no sample now; empty if there is one."""
         names = " and ".join(self._plant.outputs)
-        sensors = dict.fromkeys(output.sensor for output in self._plant.outputs.values())
+        sensors = dict.fromkeys(
+            output.sensor for output in self._plant.outputs.values()
+        )
         working = f"is the {' and the '.join(sensors)} working?"
         if self._measured is None:
             return f"no {names} yet; {working}"
@@ -426,7 +460,10 @@ class Loop:
             return "no set-point yet"
         if len(references) != len(self._pids):
             return f"{len(references)} set-points are given for {names}"
-        wrong = next((reference for reference in references if not math.isfinite(reference)), None)
+        wrong = next(
+            (reference for reference in references if not math.isfinite(reference)),
+            None,
+        )
         return "" if wrong is None else f"the set-point is {wrong}, not a finite number"
 
     def _continued(
@@ -436,5 +473,9 @@ class Loop:
         since the difference would stay for good."""
         gains = gains or self._gains[k]
         error = reference - output
-        integral = self.inputs[k] - gains.proportional * error if gains.integral else self._pids[k].state[0]
+        integral = (
+            self.inputs[k] - gains.proportional * error
+            if gains.integral
+            else self._pids[k].state[0]
+        )
         return np.array([integral, -output if gains.on_measurement else error])

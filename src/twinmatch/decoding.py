@@ -15,7 +15,9 @@ import msgspec
 from twinmatch.errors import TwinmatchError
 
 Decoded = TypeVar("Decoded")
-FiniteNumber = Annotated[float, msgspec.Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
+FiniteNumber = Annotated[
+    float, msgspec.Meta(ge=-sys.float_info.max, le=sys.float_info.max)
+]
 NOT_GIVEN: Final = msgspec.UNSET
 """Value of an optional key that a document leaves out."""
 LONGEST: Final = 200
@@ -24,9 +26,15 @@ _WORDS: Final = {
     "float": "a number", "int": "a whole number", "str": "text", "bool": "true or false", "null": "nothing",
     "array": "a list", "object": "names with values", "bytes": "bytes",
 }  # fmt: skip
-_EXPECTED: Final = re.compile(r"Expected `(?P<wanted>[^`]+)`(?P<more>[^,]*)(, got `?(?P<got>.+?)`?)?$")
-_FIELD: Final = re.compile(r"Object (?P<lacks>missing)?.* field `(?P<name>.*)`$", re.DOTALL)
-_PLACE: Final = re.compile(r"(?P<why>.*?) - at (`key` in )?`\$\.?(?P<place>.*)`$", re.DOTALL)
+_EXPECTED: Final = re.compile(
+    r"Expected `(?P<wanted>[^`]+)`(?P<more>[^,]*)(, got `?(?P<got>.+?)`?)?$"
+)
+_FIELD: Final = re.compile(
+    r"Object (?P<lacks>missing)?.* field `(?P<name>.*)`$", re.DOTALL
+)
+_PLACE: Final = re.compile(
+    r"(?P<why>.*?) - at (`key` in )?`\$\.?(?P<place>.*)`$", re.DOTALL
+)
 
 
 def document_type(
@@ -35,11 +43,16 @@ def document_type(
     """The type of a document with only these keys, of values of one kind; `others` may be left out."""
     fields: list[Any] = [(name, kind) for name in needed]
     fields += [(name, kind | msgspec.UnsetType, NOT_GIVEN) for name in others]
-    return msgspec.defstruct("Document", fields, forbid_unknown_fields=True, kw_only=True)
+    return msgspec.defstruct(
+        "Document", fields, forbid_unknown_fields=True, kw_only=True
+    )
 
 
 def decoded(
-    tree: Any, kind: type[Decoded], place: str = "", refusal: type[TwinmatchError] = TwinmatchError
+    tree: Any,
+    kind: type[Decoded],
+    place: str = "",
+    refusal: type[TwinmatchError] = TwinmatchError,
 ) -> Decoded:
     """A tree of lists, mappings and scalars as a declared type.
 
@@ -53,7 +66,10 @@ def decoded(
 
 
 def decoded_json(
-    text: str | bytes, kind: type[Decoded], place: str = "", refusal: type[TwinmatchError] = TwinmatchError
+    text: str | bytes,
+    kind: type[Decoded],
+    place: str = "",
+    refusal: type[TwinmatchError] = TwinmatchError,
 ) -> Decoded:
     """A JSON text as a declared type; errors as those of `decoded`."""
     try:
@@ -64,7 +80,11 @@ def decoded_json(
 
 def given_keys(document: msgspec.Struct) -> dict[str, Any]:
     """The keys of a document that were given, with their values."""
-    return {name: v for name, v in msgspec.structs.asdict(document).items() if v is not NOT_GIVEN}
+    return {
+        name: v
+        for name, v in msgspec.structs.asdict(document).items()
+        if v is not NOT_GIVEN
+    }
 
 
 def _words(error: str, place: str, kind: Any, tree: Any = None) -> str:
@@ -82,7 +102,11 @@ def _words(error: str, place: str, kind: Any, tree: Any = None) -> str:
         if keys and not with_place:
             why += f"; there are {', '.join(keys)}"
     elif expected := _EXPECTED.match(why):
-        kinds = [_WORDS.get(word, word) for word in expected["wanted"].split(" | ") if word != "null"]
+        kinds = [
+            _WORDS.get(word, word)
+            for word in expected["wanted"].split(" | ")
+            if word != "null"
+        ]
         finite = "e+308" in expected["more"]
         wanted = "a finite number" if finite else " or ".join(kinds) + expected["more"]
         why = f"is {_value(tree, path, expected['got'])}; give {wanted}"

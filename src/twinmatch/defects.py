@@ -37,7 +37,11 @@ class Defect(NamedTuple):
     def place(self) -> str:
         """File and line; of a file of this package its path within it, which is the same on every machine."""
         path = Path(self.file)
-        name = path.relative_to(_PACKAGE).as_posix() if path.is_relative_to(_PACKAGE) else path.name
+        name = (
+            path.relative_to(_PACKAGE).as_posix()
+            if path.is_relative_to(_PACKAGE)
+            else path.name
+        )
         return f"{name}:{self.line}"
 
     @property
@@ -52,7 +56,9 @@ class Defect(NamedTuple):
 def defect_of(error: Exception) -> Defect:
     """The defect behind an error that was raised: its innermost line in this program."""
     frames = traceback.extract_tb(error.__traceback__)
-    inside = [frame for frame in frames if Path(frame.filename).is_relative_to(_PACKAGE)]
+    inside = [
+        frame for frame in frames if Path(frame.filename).is_relative_to(_PACKAGE)
+    ]
     innermost = (inside or frames)[-1]
     message = " ".join(str(error).split())[:_LONGEST]
     text = f"{type(error).__name__}: {message}" if message else type(error).__name__

@@ -27,7 +27,11 @@ class Quantity:
     def decimals(self) -> int:
         """Decimal places that resolve a ten-thousandth of its span; three without a span."""
         span = self.high - self.low
-        return min(9, max(0, 4 - math.floor(math.log10(span)))) if 0 < span < math.inf else 3
+        return (
+            min(9, max(0, 4 - math.floor(math.log10(span))))
+            if 0 < span < math.inf
+            else 3
+        )
 
     @property
     def label(self) -> str:
@@ -39,7 +43,11 @@ class Quantity:
 
 def _by_text(several: tuple[Quantity, ...]) -> tuple[Quantity, ...]:
     """Quantities of one kind, called as their texts say where there are more than one."""
-    return several if len(several) == 1 else tuple(replace(q, name=q.text or q.name) for q in several)
+    return (
+        several
+        if len(several) == 1
+        else tuple(replace(q, name=q.text or q.name) for q in several)
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,7 +55,9 @@ def original(stream: Any) -> Any:
 def printable_output() -> Iterator[None]:
     """Make everything printable that is written to standard output and standard error meanwhile."""
     before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (cast(TextIO, _Printable(original(stream))) for stream in before)
+    sys.stdout, sys.stderr = (
+        cast(TextIO, _Printable(original(stream))) for stream in before
+    )
     try:
         yield
     finally:

@@ -37,7 +37,7 @@ class Within(NamedTuple):
     high: float
     may_be_absent: bool = True
 
-    def problem(self, name: str, value: Any, message: Any, owner: Any) -> str:  # noqa: ARG002 - one form for all
+    def problem(self, name: str, value: Any, message: Any, owner: Any) -> str:  # noqa: ARG002
         """As of every `Requirement`."""
         for number in numbers_in(value):
             is_absent = self.may_be_absent and math.isnan(number)
@@ -64,7 +64,9 @@ class Rising:
 
     def problem(self, name: str, value: Any, message: Any, owner: Any) -> str:  # noqa: ARG002
         """As of every `Requirement`."""
-        has_negative = not all(math.isfinite(number) and number >= 0 for number in value)
+        has_negative = not all(
+            math.isfinite(number) and number >= 0 for number in value
+        )
         if has_negative or any(before >= after for before, after in pairwise(value)):
             return f"{name} does not rise from 0 on"
         return ""
@@ -106,8 +108,13 @@ class Among(NamedTuple):
     def problem(self, name: str, value: Any, message: Any, owner: Any) -> str:  # noqa: ARG002
         """As of every `Requirement`."""
         listed = getattr(message, self.field)
-        accepted = {getattr(entry, self.attribute) if self.attribute else entry for entry in listed}
-        return unknown_word([value] if isinstance(value, str) else value, accepted, self.kind)
+        accepted = {
+            getattr(entry, self.attribute) if self.attribute else entry
+            for entry in listed
+        }
+        return unknown_word(
+            [value] if isinstance(value, str) else value, accepted, self.kind
+        )
 
 
 class RowsOf(NamedTuple):

@@ -10,7 +10,13 @@ from dataclasses import field
 from typing import Any
 
 
-def setting(default: Any, text: str, unit: str = "", low: float = -math.inf, high: float = math.inf) -> Any:
+def setting(
+    default: Any,
+    text: str,
+    unit: str = "",
+    low: float = -math.inf,
+    high: float = math.inf,
+) -> Any:
     """A field of a dataclass that a user may set.
 
     Args:
@@ -20,4 +26,6 @@ def setting(default: Any, text: str, unit: str = "", low: float = -math.inf, hig
         low: least value a user may give.
         high: greatest such value.
     """
-    return field(default=default, metadata={"text": text, "unit": unit, "low": low, "high": high})
+    return field(
+        default=default, metadata={"text": text, "unit": unit, "low": low, "high": high}
+    )

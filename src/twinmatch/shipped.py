@@ -23,10 +23,16 @@ def shipped(name: str) -> Path:
     Raises:
         NotShippedError: none of them has it.
     """
-    prefixes = [sys.prefix, site.getuserbase(), *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
+    prefixes = [
+        sys.prefix,
+        site.getuserbase(),
+        *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep),
+    ]
     folders = [Path(__file__).resolve().parents[2]]
     folders += [Path(prefix) / "share" / "twinmatch" for prefix in prefixes if prefix]
     for folder in folders:
         if (folder / name).exists():
             return folder / name
-    raise NotShippedError(f"{name} is in none of {', '.join(map(str, folders))}; reinstall twinmatch")
+    raise NotShippedError(
+        f"{name} is in none of {', '.join(map(str, folders))}; reinstall twinmatch"
+    )

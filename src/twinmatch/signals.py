@@ -71,7 +71,9 @@ def finite(values: FloatArray) -> bool:
     return math.isfinite(np.vdot(values, values)) or bool(np.isfinite(values).all())
 
 
-def rms(values: FloatArray, unit: FloatArray | float = 1.0, axis: int = -1) -> FloatArray:
+def rms(
+    values: FloatArray, unit: FloatArray | float = 1.0, axis: int = -1
+) -> FloatArray:
     """Root mean square along an axis, in a unit of one's choice.
 
     An error counts in units of its signal's noise, or of the spread of its forecast.
@@ -119,7 +121,7 @@ class Sample:
     usable: bool = True
     """False: more readings in a row were refused than stand-ins may replace; this one is only reported."""
 
-    def __init__(  # noqa: PLR0917 (in the order of a row)
+    def __init__(  # noqa: PLR0917
         self,
         index: int,
         stamp: int,
@@ -136,7 +138,11 @@ class Sample:
         keep = object.__setattr__
         keep(self, "index", index)
         keep(self, "stamp", stamp)
-        keep(self, "references", references if isinstance(references, tuple) else (references,))
+        keep(
+            self,
+            "references",
+            references if isinstance(references, tuple) else (references,),
+        )
         keep(self, "outputs", outputs if isinstance(outputs, tuple) else (outputs,))
         keep(self, "inputs", inputs if isinstance(inputs, tuple) else (inputs,))
         keep(self, "disturbances", disturbances)
@@ -162,7 +168,12 @@ class Sample:
     @property
     def shape(self) -> tuple[int, int, int, int]:
         """Numbers of references, outputs, inputs and disturbances."""
-        return len(self.references), len(self.outputs), len(self.inputs), len(self.disturbances)
+        return (
+            len(self.references),
+            len(self.outputs),
+            len(self.inputs),
+            len(self.disturbances),
+        )
 
     def continues(self, before: Sample) -> bool:
         """Whether it is a later sample of the same run; samples in between may be lost."""
@@ -211,13 +222,22 @@ class Window:
         for name in ("references", "outputs", "inputs"):
             values = np.array(getattr(self, name), dtype=np.float64)
             if values.ndim not in (1, 2):
-                raise SignalError(f"window: {name} have shape {values.shape}; give one row per sample")
-            self._keep(name, values[:, None] if values.ndim == 1 else np.ascontiguousarray(values))
+                raise SignalError(
+                    f"window: {name} have shape {values.shape}; give one row per sample"
+                )
+            self._keep(
+                name,
+                values[:, None] if values.ndim == 1 else np.ascontiguousarray(values),
+            )
             lengths.add(len(values))
         if len(lengths) != 1:
             msg = f"window: references, outputs and inputs have lengths {sorted(lengths)}; they must be equal"
             raise SignalError(msg)
-        measured = np.empty((len(self), 0)) if self.disturbances is _NONE else self.disturbances
+        measured = (
+            np.empty((len(self), 0))
+            if self.disturbances is _NONE
+            else self.disturbances
+        )
         disturbances = np.array(measured, dtype=np.float64)
         if disturbances.ndim != 2 or len(disturbances) != len(self):
             raise SignalError(
@@ -233,7 +253,9 @@ class Window:
             is_seen.flags.writeable = False
             object.__setattr__(self, "seen", None if is_seen.all() else is_seen)
         if not (np.isfinite(self.period) and self.period > 0):
-            raise SignalError(f"window: the period is {self.period} s; it must be positive")
+            raise SignalError(
+                f"window: the period is {self.period} s; it must be positive"
+            )
 
     def _keep(self, name: str, values: FloatArray) -> None:
         """Store finite values as a read-only field."""
@@ -261,7 +283,9 @@ class Window:
         if gaps.size:
             before = indices[gaps[0]]
             after = indices[gaps[0] + 1]
-            raise SignalError(f"window: sample {after} follows sample {before}; give consecutive samples")
+            raise SignalError(
+                f"window: sample {after} follows sample {before}; give consecutive samples"
+            )
         columns = {}
         for name in SIGNALS:
             rows = list(map(attrgetter(name), samples))
@@ -302,7 +326,9 @@ class Window:
     @property
     def time(self) -> FloatArray:
         """Seconds since the session began, shape (N,)."""
-        return np.asarray((self.first + np.arange(len(self))) * self.period, dtype=np.float64)
+        return np.asarray(
+            (self.first + np.arange(len(self))) * self.period, dtype=np.float64
+        )
 
     def part(self, first: int, last: int) -> Window:
         """The samples with session indices `first` to `last`, both included.
@@ -312,7 +338,9 @@ class Window:
         """
         if not self.first <= first <= last <= self.last:
             extent = f"{self.first} to {self.last}"
-            raise SignalError(f"window: samples {first} to {last} requested; it holds only {extent}")
+            raise SignalError(
+                f"window: samples {first} to {last} requested; it holds only {extent}"
+            )
         span = slice(first - self.first, last - self.first + 1)
         return Window(
             self.references[span],
@@ -326,7 +354,9 @@ class Window:
 
     def alone(self, k: int) -> Window:
         """Its k-th reference, output and input; of fewer the last."""
-        references, outputs, inputs = (column_of(getattr(self, name), k) for name in SIGNALS[:3])
+        references, outputs, inputs = (
+            column_of(getattr(self, name), k) for name in SIGNALS[:3]
+        )
         return replace(self, references=references, outputs=outputs, inputs=inputs)
 
     def joined(self, newer: Window) -> Window:
@@ -340,7 +370,9 @@ class Window:
             msg = f"window: sample {newer.first} follows sample {self.last}; give consecutive samples"
             raise SignalError(msg)
         if newer.period != self.period:
-            raise SignalError(f"window: periods of {self.period} s and {newer.period} s; they must be equal")
+            raise SignalError(
+                f"window: periods of {self.period} s and {newer.period} s; they must be equal"
+            )
         if newer.last <= self.last:
             return self
         newer = newer.part(self.last + 1, newer.last)
@@ -358,9 +390,13 @@ class Window:
 
     def samples(self, begin: int) -> list[Sample]:
         """Its samples; `begin` is the stamp of index 0, ns, from which they are a period apart."""
-        rows = zip(*(map(tuple, getattr(self, name).tolist()) for name in SIGNALS), strict=True)
+        rows = zip(
+            *(map(tuple, getattr(self, name).tolist()) for name in SIGNALS), strict=True
+        )
         return [
-            Sample(index, begin + round(index * self.period * 1e9), *values, seen=is_seen)
+            Sample(
+                index, begin + round(index * self.period * 1e9), *values, seen=is_seen
+            )
             for index, (values, is_seen) in enumerate(
                 zip(rows, self.marks.tolist(), strict=True), start=self.first
             )
@@ -373,7 +409,11 @@ class Window:
 
     def received(self, values: FloatArray) -> FloatArray:
         """Of values at its last samples, those at samples that were received."""
-        return values if self.seen is None else values[self.seen[len(self) - len(values) :]]
+        return (
+            values
+            if self.seen is None
+            else values[self.seen[len(self) - len(values) :]]
+        )
 
     @property
     def lost(self) -> list[int]:
@@ -431,7 +471,9 @@ def one_of_each(name: str, values: Sequence[_Value]) -> _Value:
 
 
 def _several(name: str, number: int) -> SignalError:
-    return SignalError(f"{name}: there are {number} of them; this is for a loop with one of each")
+    return SignalError(
+        f"{name}: there are {number} of them; this is for a loop with one of each"
+    )
 
 
 def incomplete(index: int, numbers: Sequence[int]) -> str:
@@ -451,7 +493,11 @@ def joined(pieces: Iterable[Sequence[Sample]]) -> list[Sample]:
     """The pieces of a run as one: of each, the samples that continue those before it; pieces may overlap."""
     whole: list[Sample] = []
     for piece in pieces:
-        whole += [sample for sample in piece if sample.continues(whole[-1])] if whole else piece
+        whole += (
+            [sample for sample in piece if sample.continues(whole[-1])]
+            if whole
+            else piece
+        )
     return whole
 
 

@@ -16,24 +16,44 @@ if TYPE_CHECKING:
     import pint
 
 
-_COLUMN_WORDS = {"C": "degC", "c": "degC", "°c": "degC", "F": "degF", "°f": "degF", "k": "K"}
+_COLUMN_WORDS = {
+    "C": "degC",
+    "c": "degC",
+    "°c": "degC",
+    "F": "degF",
+    "°f": "degF",
+    "k": "K",
+}
 """Abbreviations of temperature units that pint would read as coulomb or farad."""
 _NAMES = {
-    **dict.fromkeys(("celsius", "deg c", "deg_c", "deg.c", "degc", "°c", "ºc", "℃"), "degC"),
+    **dict.fromkeys(
+        ("celsius", "deg c", "deg_c", "deg.c", "degc", "°c", "ºc", "℃"), "degC"
+    ),
     **dict.fromkeys(("fahrenheit", "deg f", "deg_f", "degf", "°f", "℉"), "degF"),
     **dict.fromkeys(("kelvin", "degk", "°k"), "K"),
     **dict.fromkeys(("pct", "percent", "%rh", "% rh"), "%"),
     **dict.fromkeys(("lpm", "slpm", "nl/min", "lit/min"), "l/min"),
-    **dict.fromkeys(("rpm", "u/min", "r/min", "rev/min", "min-1", "min^-1", "min⁻¹"), "rpm"),
+    **dict.fromkeys(
+        ("rpm", "u/min", "r/min", "rev/min", "min-1", "min^-1", "min⁻¹"), "rpm"
+    ),
     **dict.fromkeys(("barg", "bara", "bar(g)", "bar(a)"), "bar"),
     **dict.fromkeys(("", "-", "ph", "none"), "dimensionless"),
-    **{"volt": "V", "volts": "V", "amp": "A", "amps": "A", "watt": "W", "watts": "W", "ppmv": "ppm"},
+    **{
+        "volt": "V",
+        "volts": "V",
+        "amp": "A",
+        "amps": "A",
+        "watt": "W",
+        "watts": "W",
+        "ppmv": "ppm",
+    },
     **{"ohm": "Ω", "ohms": "Ω", "kohm": "kΩ", "n.m": "N m"},
 }
 """Units as people write them, in small letters, and as pint reads them."""
 _FORMS = (
     (re.compile(r"√\s*(\w+|\([^()]*\))"), r"(\1)**0.5"),
-    (re.compile(r"(?<![A-Za-zµ])([cdkmµu]?m|s|min)\^?(-?[234])(?!\d)"), r"\1**\2"),  # m2, s-2
+    # m2, s-2
+    (re.compile(r"(?<![A-Za-zµ])([cdkmµu]?m|s|min)\^?(-?[234])(?!\d)"), r"\1**\2"),
     (re.compile(r"/\(?(kg|m²|m\*\*2)K\)?$"), r"/(\1 K)"),  # W/m²K
     (re.compile(r"(?<![A-Za-z])Nm(?![A-Za-z])"), "N m"),
 )
@@ -138,7 +158,9 @@ def measure(unit: str) -> Measure:
     try:
         parsed: Any = _registry().parse_units(_plain(unit))
         base = _registry().Quantity(1.0, parsed)
-        powers = tuple(sorted((str(n), float(p)) for n, p in parsed.dimensionality.items()))
+        powers = tuple(
+            sorted((str(n), float(p)) for n, p in parsed.dimensionality.items())
+        )
         offset = not base._is_multiplicative
         factor = 1.0 if offset else float(base.to_base_units().magnitude)
     except Exception:
@@ -161,9 +183,14 @@ def conversion(unit: str, wanted: str) -> Conversion:
     source = measure(unit)
     target = measure(wanted)
     if not (source.known and target.known) or source.dimension != target.dimension:
-        raise UnitError(f"{unit or 'a plain number'} cannot be converted to {wanted or 'a plain number'}")
+        raise UnitError(
+            f"{unit or 'a plain number'} cannot be converted to {wanted or 'a plain number'}"
+        )
     quantity = _registry().Quantity
-    low, high = (_float(quantity(x, _plain(unit)).to(_plain(wanted)).magnitude) for x in (0.0, _FAR))
+    low, high = (
+        _float(quantity(x, _plain(unit)).to(_plain(wanted)).magnitude)
+        for x in (0.0, _FAR)
+    )
     return Conversion((high - low) / _FAR if low else high / _FAR, low)
 
 
@@ -181,6 +208,6 @@ def _plain(unit: str) -> str:
 
 @lru_cache(maxsize=1)
 def _registry() -> pint.UnitRegistry[Any]:
-    import pint  # noqa: PLC0415 (takes half a second; needed only for units)
+    import pint  # noqa: PLC0415
 
     return pint.UnitRegistry()

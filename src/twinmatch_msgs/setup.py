@@ -78,10 +78,14 @@ def check_compiler() -> None:
     """Report a missing compiler or header in one line, before the compiler prints a hundred."""
     compiler = os.environ.get("CXX", "g++").split()[0]
     if shutil.which(compiler) is None:
-        raise SystemExit(f"{NAME}: no C++ compiler ({compiler}); install it: apt-get install g++")
+        raise SystemExit(
+            f"{NAME}: no C++ compiler ({compiler}); install it: apt-get install g++"
+        )
     header = Path(sysconfig.get_path("include")) / "Python.h"
     if not header.exists():
-        raise SystemExit(f"{NAME}: {header} is missing; install it: apt-get install python3-dev")
+        raise SystemExit(
+            f"{NAME}: {header} is missing; install it: apt-get install python3-dev"
+        )
 
 
 def ros_prefix() -> Path:
@@ -89,7 +93,9 @@ def ros_prefix() -> Path:
     try:
         import rosidl_cli
     except ImportError:
-        raise SystemExit(f"{NAME}: no rosidl generators; run 'make setup' or use colcon") from None
+        raise SystemExit(
+            f"{NAME}: no rosidl generators; run 'make setup' or use colcon"
+        ) from None
     return Path(rosidl_cli.__file__).resolve().parents[4]
 
 
@@ -99,7 +105,11 @@ def requirements() -> list[str]:
     releases = [r for r in ("jazzy", "kilted") if f"ros-{r}-rclpy" in installed]
     if not releases:
         return ["numpy>=1.26"]
-    names = [f"ros-{releases[0]}-std-msgs", f"ros-{releases[0]}-rmw-fastrtps-cpp", "ros-service-msgs"]
+    names = [
+        f"ros-{releases[0]}-std-msgs",
+        f"ros-{releases[0]}-rmw-fastrtps-cpp",
+        "ros-service-msgs",
+    ]
     return ["numpy>=1.26", *(f"{name}~={installed[name]}" for name in names)]
 
 
@@ -119,35 +129,50 @@ def generate(prefix: Path) -> None:
         str(path)
         for path in translate(
             package_name=NAME,
-            interface_files=[f"{HERE}:{path.parent.name}/{path.name}" for path in MESSAGES + SERVICES],
+            interface_files=[
+                f"{HERE}:{path.parent.name}/{path.name}" for path in MESSAGES + SERVICES
+            ],
             include_paths=share,
             output_format="idl",
             output_path=GENERATED,
         )
     ]
     hashes = HashTypeDescription("hashes").generate_type_hashes(
-        package_name=NAME, interface_files=idl, include_paths=share, output_path=GENERATED
+        package_name=NAME,
+        interface_files=idl,
+        include_paths=share,
+        output_path=GENERATED,
     )
 
     def generate_c() -> None:
-        GenerateC("c").generate(NAME, idl, share, GENERATED, type_description_files=hashes)
+        GenerateC("c").generate(
+            NAME, idl, share, GENERATED, type_description_files=hashes
+        )
         for path in GENERATED.glob(
             "*/detail/*__type_support.c"
         ):  # the introspection has files of this name too
             path.rename(path.with_name(path.name.replace("__type_support", "__events")))
-        GenerateIntrospectionCTypesupport("introspection").generate(NAME, idl, share, GENERATED)
+        GenerateIntrospectionCTypesupport("introspection").generate(
+            NAME, idl, share, GENERATED
+        )
 
     def generate_fastrtps() -> None:
         GenerateFastRTPSCTypesupport("fastrtps").generate(NAME, idl, share, GENERATED)
 
     def generate_python() -> None:
         implementations = {"typesupport_implementations": ["rosidl_typesupport_c"]}
-        GeneratePython("python", **implementations).generate(NAME, idl, share, GENERATED)
+        GeneratePython("python", **implementations).generate(
+            NAME, idl, share, GENERATED
+        )
 
     side_by_side(generate_python, generate_c, generate_fastrtps)
-    (GENERATED / "dispatch.cpp").write_text(DISPATCH_HEAD + "".join(map(dispatch, MESSAGES + SERVICES)))
+    (GENERATED / "dispatch.cpp").write_text(
+        DISPATCH_HEAD + "".join(map(dispatch, MESSAGES + SERVICES))
+    )
     for name, pattern in JOINED.items():
-        parts = sorted(path.relative_to(GENERATED.parent) for path in GENERATED.rglob(pattern))
+        parts = sorted(
+            path.relative_to(GENERATED.parent) for path in GENERATED.rglob(pattern)
+        )
         (GENERATED / name).write_text("".join(f'#include "{part}"\n' for part in parts))
     (GENERATED / "__init__.py").touch()
 
@@ -157,7 +182,9 @@ def parse_once() -> None:
     from rosidl_parser import parser
 
     parse = functools.cache(parser.parse_idl_string)
-    parser.parse_idl_string = lambda text, **options: copy.deepcopy(parse(text, **options))
+    parser.parse_idl_string = lambda text, **options: copy.deepcopy(
+        parse(text, **options)
+    )
 
 
 def side_by_side(*jobs: Callable[[], None]) -> None:
@@ -175,14 +202,23 @@ def dispatch(source: Path) -> str:
     """C++ code that finds either type support of a message or service within the extension."""
     file = re.sub("(?<=[a-z0-9])(?=[A-Z])", "_", source.stem).lower()
     place = {"package": NAME, "folder": source.parent.name}
-    parts = {part: f"{source.stem}_{part.title()}" for part in ("request", "response", "event")}
+    parts = {
+        part: f"{source.stem}_{part.title()}"
+        for part in ("request", "response", "event")
+    }
     message = {"kind": "message", "KIND": "MESSAGE", "parts": ""}
     code = INCLUDE.format(file=file, **place)
     if source in MESSAGES:
         return code + DISPATCH.format(name=source.stem, **message, **place)
-    code += "".join(DISPATCH.format(name=name, **message, **place) for name in parts.values())
-    joined = "".join(PART.format(part=part, name=name, **place) for part, name in parts.items())
-    return code + DISPATCH.format(kind="service", KIND="SERVICE", name=source.stem, parts=joined, **place)
+    code += "".join(
+        DISPATCH.format(name=name, **message, **place) for name in parts.values()
+    )
+    joined = "".join(
+        PART.format(part=part, name=name, **place) for part, name in parts.items()
+    )
+    return code + DISPATCH.format(
+        kind="service", KIND="SERVICE", name=source.stem, parts=joined, **place
+    )
 
 
 def fill(extension: Extension, prefix: Path) -> None:
@@ -190,18 +226,32 @@ def fill(extension: Extension, prefix: Path) -> None:
     import numpy
 
     joined = {path for pattern in JOINED.values() for path in GENERATED.rglob(pattern)}
-    sources = {path for path in GENERATED.rglob("*") if path.suffix in {".c", ".cpp"}} - joined
+    sources = {
+        path for path in GENERATED.rglob("*") if path.suffix in {".c", ".cpp"}
+    } - joined
     # The longest first, so that no processor waits for one at the end.
     names = [os.path.relpath(path, HERE) for path in sorted(sources)]
     extension.sources = sorted(names, key=lambda name: Path(name).name not in JOINED)
     include = prefix / "include"
     folders = sorted(path for path in include.iterdir() if path.is_dir())
-    extension.include_dirs = [str(path) for path in (GENERATED.parent, include, *folders)]
+    extension.include_dirs = [
+        str(path) for path in (GENERATED.parent, include, *folders)
+    ]
     extension.include_dirs.append(numpy.get_include())
-    kinds = ("generator_c", "generator_py", "typesupport_fastrtps_c", "typesupport_introspection_c")
-    extension.libraries = [f"{used}__rosidl_{kind}" for used in USED_PACKAGES for kind in kinds]
+    kinds = (
+        "generator_c",
+        "generator_py",
+        "typesupport_fastrtps_c",
+        "typesupport_introspection_c",
+    )
+    extension.libraries = [
+        f"{used}__rosidl_{kind}" for used in USED_PACKAGES for kind in kinds
+    ]
     extension.libraries += ["rosidl_runtime_c", "rosidl_typesupport_fastrtps_c"]
-    extension.libraries += ["rosidl_typesupport_fastrtps_cpp", "rosidl_typesupport_introspection_c"]
+    extension.libraries += [
+        "rosidl_typesupport_fastrtps_cpp",
+        "rosidl_typesupport_introspection_c",
+    ]
     extension.libraries += ["rmw", "rcutils"]
     fast_cdr = next(iter(sorted((prefix / "lib").glob("libfastcdr.so.*"))))
     extension.library_dirs = [str(prefix / "lib")]
@@ -237,7 +287,9 @@ class BuildExtension(build_ext):
 
         def compile_all(sources: list[str], **options: Any) -> list[str]:
             with ThreadPoolExecutor(os.cpu_count()) as pool:
-                made = pool.map(lambda source: compile_some([source], **options), sources)
+                made = pool.map(
+                    lambda source: compile_some([source], **options), sources
+                )
                 return [name for names in made for name in names]
 
         self.compiler.compile = compile_all
@@ -249,7 +301,9 @@ for folder in ("msg", "srv"):
 setup(
     packages=[NAME, f"{NAME}.msg", f"{NAME}.srv"],
     package_dir={NAME: os.path.relpath(GENERATED, HERE)},
-    ext_modules=[Extension(f"{NAME}.{NAME}_s__rosidl_typesupport_c", sources=[], language="c++")],
+    ext_modules=[
+        Extension(f"{NAME}.{NAME}_s__rosidl_typesupport_c", sources=[], language="c++")
+    ],
     data_files=[
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/msg", [f"msg/{path.name}" for path in MESSAGES]),

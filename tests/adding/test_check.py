@@ -22,7 +22,15 @@ from twinmatch.adding.check import ranges
 from twinmatch.adding.dimensions import Dimensions
 from twinmatch.adding.trial import inseparable, time_constants
 from twinmatch.cli import main
-from twinmatch.dynamics import Drive, Equations, Output, Parameter, Plant, State, Structure
+from twinmatch.dynamics import (
+    Drive,
+    Equations,
+    Output,
+    Parameter,
+    Plant,
+    State,
+    Structure,
+)
 from twinmatch.plants import PLANTS, Peltier, find_plant
 
 
@@ -46,7 +54,9 @@ class Fan(Plant, name="fan"):
             self.omega: (thrust - self.omega) / self.lag,
             self.acts: (self.volts - self.acts) / self.slow,
         }
-        return Equations(rates=rates, output=self.omega, start={self.omega: self.speed, self.acts: 0})
+        return Equations(
+            rates=rates, output=self.omega, start={self.omega: self.speed, self.acts: 0}
+        )
 
 
 class Reversing(Fan, name="reversing"):
@@ -107,7 +117,9 @@ def test_what_no_data_can_tell_apart_is_named(structure: str, message: str) -> N
 
 
 def test_time_constants_are_those_of_the_equations() -> None:
-    np.testing.assert_allclose(time_constants(Lag.model().parameters(lag=7.0)), [7.0], rtol=1e-12)
+    np.testing.assert_allclose(
+        time_constants(Lag.model().parameters(lag=7.0)), [7.0], rtol=1e-12
+    )
 
 
 def test_a_plant_without_mistakes_has_no_findings() -> None:
@@ -115,7 +127,9 @@ def test_a_plant_without_mistakes_has_no_findings() -> None:
     checked = check_plant(Lag, 1.0, lambda *what: shown.append(what))
     assert checked.findings == ()
     total = len(Lag.structures) + 1
-    assert [progress for _, *progress in shown] == [[count, total] for count in range(total)]
+    assert [progress for _, *progress in shown] == [
+        [count, total] for count in range(total)
+    ]
     assert shown[-1][0].startswith("checking structure ")
     assert checked.exit_code == 0
     assert checked.notes == ("time constants at the defaults: 5 s",)
@@ -146,7 +160,8 @@ def test_a_power_of_a_state_that_begins_at_zero_is_not_a_finding() -> None:
 def test_a_power_whose_base_may_be_negative_comes_with_what_to_write() -> None:
     refusal = check_plant(Reversing, 0.05).unusable
     assert (
-        "where acts/one is negative; write maximum(acts/one, 1e-6)**(power), or to keep the sign" in refusal
+        "where acts/one is negative; write maximum(acts/one, 1e-6)**(power), or to keep the sign"
+        in refusal
     )
 
 
@@ -169,7 +184,10 @@ SHELL = (
     '    tau = Parameter(unit="s", default=9.0, bounds=(1.0, 99.0), positive=True)\n    gain =',
 )
 SHELL_START = ("start={", "start={self.shell: self.temperature, ")
-HOT = ('gain = Parameter(unit="W/%", default=0.5', 'gain = Parameter(unit="W/%", default=4.0')
+HOT = (
+    'gain = Parameter(unit="W/%", default=0.5',
+    'gain = Parameter(unit="W/%", default=4.0',
+)
 
 
 @pytest.mark.parametrize(
@@ -206,15 +224,25 @@ def test_what_is_wrong_is_reported(
     name = f"checked_{crc32(repr((changes, message)).encode())}"
     checked = checked_file(tmp_path, name, *changes, period=period)
     assert checked.exit_code == 1
-    assert any(re.search(message, finding.what) for finding in checked.findings), checked
+    assert any(re.search(message, finding.what) for finding in checked.findings), (
+        checked
+    )
     assert all(finding.todo for finding in checked.findings)
 
 
 @pytest.mark.parametrize("period", [None, 10.0])
 def test_a_stiff_plant_is_usable(tmp_path: Path, period: float | None) -> None:
     """A block of 1e5 s behind a shell of 3 s: its trial takes shorter samples than the block needs."""
-    shell = (SHELL[0], SHELL[1].replace("default=9.0, bounds=(1.0, 99.0)", "default=3.0, bounds=(1.0, 9.0)"))
-    shell_rate = ("rates={", "rates={self.shell: (self.block - self.shell) / self.tau, ")
+    shell = (
+        SHELL[0],
+        SHELL[1].replace(
+            "default=9.0, bounds=(1.0, 99.0)", "default=3.0, bounds=(1.0, 9.0)"
+        ),
+    )
+    shell_rate = (
+        "rates={",
+        "rates={self.shell: (self.block - self.shell) / self.tau, ",
+    )
     heavy = ("default=100.0, bounds=(10.0, 1000.0)", "default=1e5, bounds=(1e4, 1e6)")
     shown = ("output=self.block", "output=self.shell")
     checked = checked_file(
@@ -236,7 +264,9 @@ def test_a_state_is_seen_through_another(tmp_path: Path) -> None:
         "rates={self.shell: (self.block - self.shell) / self.tau, self.block: (",
     )
     coupled = ("- lost)", "- lost + self.loss * (self.shell - self.block))")
-    checked = checked_file(tmp_path, "checked_seen", SHELL, SHELL_START, change, coupled)
+    checked = checked_file(
+        tmp_path, "checked_seen", SHELL, SHELL_START, change, coupled
+    )
     assert checked.findings == ()
 
 
@@ -248,7 +278,11 @@ def test_a_disturbance_in_no_equation_is_noted(tmp_path: Path) -> None:
 
 
 def test_a_plant_that_cannot_be_run_is_unusable(tmp_path: Path) -> None:
-    checked = checked_file(tmp_path, "checked_unusable", ("start={self.block: self.temperature}", "start={}"))
+    checked = checked_file(
+        tmp_path,
+        "checked_unusable",
+        ("start={self.block: self.temperature}", "start={}"),
+    )
     assert checked.exit_code == 2
     assert "state block has no start value" in checked.unusable
 
@@ -258,12 +292,15 @@ def test_the_command_says_it_and_its_exit_code_too(tmp_path: Path) -> None:
     assert good.returncode == 0, good.stdout + good.stderr
     assert "no problems found" in good.stdout
     wrong = ('free=("gain", "capacity")', 'free=("gain", "capacity", "loss")')
-    with_finding = run_twinmatch("check-plant", plant_file(tmp_path, "checked_found", wrong))
+    with_finding = run_twinmatch(
+        "check-plant", plant_file(tmp_path, "checked_found", wrong)
+    )
     assert with_finding.returncode == 1
     assert "separately, only their ratios" in with_finding.stdout
     assert "→ remove one of them from `free`" in with_finding.stdout
     broken = run_twinmatch(
-        "check-plant", plant_file(tmp_path, "checked_broken", ("self.loss *", "self.los *"))
+        "check-plant",
+        plant_file(tmp_path, "checked_broken", ("self.loss *", "self.los *")),
     )
     assert broken.returncode == 2
     assert "did you mean loss?" in broken.stderr
@@ -281,7 +318,10 @@ def test_columns_of_a_recording_are_named_and_mapped(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "log.csv"
-    log.write_text("clock,plate,duty\n" + "".join(f"{k},30,0\n" for k in range(90)), encoding="utf-8")
+    log.write_text(
+        "clock,plate,duty\n" + "".join(f"{k},30,0\n" for k in range(90)),
+        encoding="utf-8",
+    )
     asked = ["check-plant", "peltier", "--data", str(log)]
     assert main(asked) == 2
     printed_error = capsys.readouterr().err
@@ -294,7 +334,9 @@ def test_columns_of_a_recording_are_named_and_mapped(
         assert "no window could be matched" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("plant", [Lag, Motor, Tank, *PLANTS.values()], ids=lambda plant: plant.name)
+@pytest.mark.parametrize(
+    "plant", [Lag, Motor, Tank, *PLANTS.values()], ids=lambda plant: plant.name
+)
 def test_plants_whose_units_are_right_pass(plant: type[Plant]) -> None:
     assert unit_findings(plant) == []
 
@@ -309,7 +351,11 @@ SINK = "self.loss * (self.block - self.room)"
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('gain = Parameter(unit="W/%"', 'gain = Parameter(unit="V/%"', "rate of block: .* added to .* in V"),
+        (
+            'gain = Parameter(unit="W/%"',
+            'gain = Parameter(unit="V/%"',
+            "rate of block: .* added to .* in V",
+        ),
         (
             'unit="J/K", default=100',
             'unit="J", default=100',
@@ -325,27 +371,54 @@ SINK = "self.loss * (self.block - self.room)"
             'capacity = Parameter(unit="kJ/K"',
             "has 0.001 times the unit °C per",
         ),
-        ('State(unit="°C"', 'State(unit="K"', "block is in K and room in °C|room is in °C and block in K"),
-        ("self.block: self.temperature}", "self.block: self.temperature**2}", "the start of block"),
-        ("self.gain * self.heater", "self.gain * self.room**100000", "added to or compared"),
-        ("output=self.block", "output=self.block * self.loss", "the output: has the unit W, but needs °C"),
+        (
+            'State(unit="°C"',
+            'State(unit="K"',
+            "block is in K and room in °C|room is in °C and block in K",
+        ),
+        (
+            "self.block: self.temperature}",
+            "self.block: self.temperature**2}",
+            "the start of block",
+        ),
+        (
+            "self.gain * self.heater",
+            "self.gain * self.room**100000",
+            "added to or compared",
+        ),
+        (
+            "output=self.block",
+            "output=self.block * self.loss",
+            "the output: has the unit W, but needs °C",
+        ),
         (SINK, "self.loss * (self.block**4 - self.room**4)", "a power of"),
         (SINK, f"{SINK} * __import__('sympy').exp(self.block)", "has the unit K"),
     ],
 )
-def test_units_that_are_wrong_are_reported(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_units_that_are_wrong_are_reported(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
     name = f"units_wrong_{crc32(repr((old, new)).encode())}"
     sentences = unit_findings(find_plant(str(plant_file(tmp_path, name, (old, new)))))
     assert any(re.search(message, sentence) for sentence in sentences), sentences
 
 
 def test_the_size_of_a_high_power_is_not_judged(tmp_path: Path) -> None:
-    change = ("self.gain * self.heater", "self.gain * self.heater**100000")  # (0.01)**100000 underflows
-    assert unit_findings(find_plant(str(plant_file(tmp_path, "units_high", change)))) == []
+    # (0.01)**100000 underflows
+    change = ("self.gain * self.heater", "self.gain * self.heater**100000")
+    assert (
+        unit_findings(find_plant(str(plant_file(tmp_path, "units_high", change)))) == []
+    )
 
 
 def test_what_a_number_hides_is_not_judged_but_noted(tmp_path: Path) -> None:
-    plant = find_plant(str(plant_file(tmp_path, "units_hidden", ("self.loss * (", "0.0123 * self.loss * ("))))
+    plant = find_plant(
+        str(
+            plant_file(
+                tmp_path, "units_hidden", ("self.loss * (", "0.0123 * self.loss * (")
+            )
+        )
+    )
     looked = Dimensions(plant)
     looked.check(frozenset())
     assert looked.findings == {}
@@ -356,7 +429,9 @@ def test_the_roots_in_a_dead_time_hide_no_unit(tmp_path: Path) -> None:
     name = "units_root"
     change = ("self.loss * (", "sqrt(3) * self.loss * (")
     path = plant_file(tmp_path, name, change)
-    path.write_text(path.read_text().replace("\nclass", "\nfrom sympy import sqrt\n\nclass", 1))
+    path.write_text(
+        path.read_text().replace("\nclass", "\nfrom sympy import sqrt\n\nclass", 1)
+    )
     looked = Dimensions(find_plant(str(path)))
     looked.check(frozenset())
     assert looked.unchecked == set()
@@ -371,7 +446,9 @@ UNITS = ("s", "min", "K", "m", "kg", "V", "A", "W", "1", "%", "J/K", "m²")
 
 
 @given(st.sampled_from(UNITS), st.sampled_from(UNITS), st.sampled_from(UNITS))
-def test_a_lag_whose_units_are_made_to_fit_passes_whatever_they_are(y: str, u: str, x: str) -> None:
+def test_a_lag_whose_units_are_made_to_fit_passes_whatever_they_are(
+    y: str, u: str, x: str
+) -> None:
     class Any(Plant, name="any_units"):
         out = Output(unit=y, noise=0.1, span=(-1.0, 1.0))
         drive = Drive(unit=u, limits=(-1.0, 1.0), noise=0.1)
@@ -402,7 +479,10 @@ def test_plants_with_several_loops_are_checked_signal_by_signal() -> None:
     class Idle(Heaters, name="idle"):
         def equations(self, parts: frozenset[str]) -> Equations:
             whole = super().equations(parts)
-            return replace(whole, rates={s: r.subs(self.second_power, 0) for s, r in whole.rates.items()})
+            return replace(
+                whole,
+                rates={s: r.subs(self.second_power, 0) for s, r in whole.rates.items()},
+            )
 
     checked_idle = check_plant(Idle, 2.0)
     sentence = "structures 'all' and 'apart': the drive second_power does not act on the output"

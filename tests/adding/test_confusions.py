@@ -22,7 +22,9 @@ from twinmatch.plants import PLANTS
 from twinmatch.signals import FloatArray, Sample
 
 
-def errors(parameters: Parameters, states: FloatArray, u: FloatArray, size: int) -> FloatArray:
+def errors(
+    parameters: Parameters, states: FloatArray, u: FloatArray, size: int
+) -> FloatArray:
     """What a plant whose equations err as those of a real rig reads beyond them, with noise, shape (N, o).
 
     Its states stray as a filter of that model error assumes, to first order; pushes fade.
@@ -41,7 +43,11 @@ def errors(parameters: Parameters, states: FloatArray, u: FloatArray, size: int)
     for _ in range(size):
         readings.append(shows @ x + model.noise * random.standard_normal(o))
         push = assumed.keeps[0] * push + assumed.stray * random.standard_normal(o)
-        x = moves @ x + assumed.drift[:n] * random.standard_normal(n) + np.linalg.pinv(shows) @ push
+        x = (
+            moves @ x
+            + assumed.drift[:n] * random.standard_normal(n)
+            + np.linalg.pinv(shows) @ push
+        )
     return np.array(readings)
 
 
@@ -53,12 +59,15 @@ AFTER = 240
 def watched() -> tuple[FaultTrial, ChannelMonitor, FloatArray]:
     """The trial of a kit, a monitor that has seen it healthy, and how its equations err afterwards."""
     kit = FaultTrial(typical(), 1.0)
-    strayed = errors(kit.parameters, kit.states, kit.inputs[-1], len(kit.healthy) + AFTER)
+    strayed = errors(
+        kit.parameters, kit.states, kit.inputs[-1], len(kit.healthy) + AFTER
+    )
     monitor = ChannelMonitor(kit.parameters, 1.0)
     for sample in samples(kit, kit.healthy + strayed[:-AFTER], 0):
         monitor.push(sample)
     assert monitor.alarms == ()
-    monitor.competition.healthy.known = 1200  # as if it had seen it since long: from then on losses are named
+    # as if it had seen it since long: from then on losses are named
+    monitor.competition.healthy.known = 1200
     return kit, monitor, strayed[-AFTER:]
 
 
@@ -75,7 +84,8 @@ def rows(kit: FaultTrial) -> dict[str, ChangeRow]:
 @pytest.mark.parametrize(
     ("number", "named", "within"),
     [
-        ("share 0", (Fault.DRIVE_WEAK, "power"), AFTER),  # once heater 2 shows that it is not their supply
+        # once heater 2 shows that it is not their supply
+        ("share 0", (Fault.DRIVE_WEAK, "power"), AFTER),
         ("offset 1", (Fault.SENSOR_DRIFT, "second_temperature"), 150),
         ("losses", None, 150),
         ("ambient", None, 150),
@@ -90,10 +100,15 @@ def test_what_is_said_apart_is_named_and_what_is_said_alike_is_said_as_both(
     kit, healthy, strayed = watched
     faults = rows(kit)
     # Of two that are alike one may be told from the other, but not the other from it.
-    rival_numbers = {cause for cause in ("losses", "ambient") if number in (kit.rivals(faults[cause]) or ())}
+    rival_numbers = {
+        cause
+        for cause in ("losses", "ambient")
+        if number in (kit.rivals(faults[cause]) or ())
+    }
     rival_numbers |= {*(kit.rivals(faults[number]) or ())}
     monitor = copy.deepcopy(
-        healthy, {id(shared): shared for shared in (kit.parameters, kit.parameters.model)}
+        healthy,
+        {id(shared): shared for shared in (kit.parameters, kit.parameters.model)},
     )
     readings = kit.readings(faults[number])[:within] + strayed[:within]
     for sample in samples(kit, readings, len(kit.healthy)):
@@ -105,7 +120,9 @@ def test_what_is_said_apart_is_named_and_what_is_said_alike_is_said_as_both(
     else:
         assert rival_numbers == {"losses", "ambient"} - {number}
         assert alarm.fault is Fault.DRIFT
-        assert {*alarm.rivals} == {kit.called[cause] for cause in (number, *rival_numbers)}
+        assert {*alarm.rivals} == {
+            kit.called[cause] for cause in (number, *rival_numbers)
+        }
 
 
 def test_with_one_sensor_a_drive_and_the_room_are_not_told_apart_either() -> None:
@@ -130,12 +147,21 @@ class Walls(Heaters, name="walls"):
     """Two heated bodies with losses through two walls, of one body or of each."""
 
     near, far = (
-        Parameter(unit="1/s", default=0.01, bounds=(1e-3, 0.1), positive=True, role="losses", text=text)
+        Parameter(
+            unit="1/s",
+            default=0.01,
+            bounds=(1e-3, 0.1),
+            positive=True,
+            role="losses",
+            text=text,
+        )
         for text in ("near wall", "far wall")
     )
     parts = ("each",)
     structures: ClassVar = {
-        name: Structure(free=("near", "far", "first_gain", "second_gain"), parts=frozenset(parts))
+        name: Structure(
+            free=("near", "far", "first_gain", "second_gain"), parts=frozenset(parts)
+        )
         for name, parts in (("one body", ()), ("each body", ("each",)))
     }
 

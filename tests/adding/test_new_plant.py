@@ -79,12 +79,24 @@ def readings(plant: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
     white = random.standard_normal(size)
     counts = divider(plant + 273.15)
     many = np.rint(counts + 0.7 * random.standard_normal((8, size))).mean(axis=0)
-    thermistors = [np.rint(counts), np.rint(counts + 0.4 * white), np.rint(counts + 3.0 * white), many]
+    thermistors = [
+        np.rint(counts),
+        np.rint(counts + 0.4 * white),
+        np.rint(counts + 3.0 * white),
+        many,
+    ]
     moving = np.convolve(random.standard_normal(size + 7), np.ones(8) / 8, "valid")
     later = random.standard_normal(size + 500)
-    slow = {a: lfilter([1 - a], [1, -a], later)[500:] * np.sqrt((1 + a) / (1 - a)) for a in (0.5, 0.9)}
-    twice = lfilter([0.5], [1, -0.5], lfilter([0.5], [1, -0.5], later))[500:] / np.sqrt(5 / 27)
-    spikes = np.where(random.random(size) < 0.02, random.uniform(-80.0, 80.0, size), 0.0)
+    slow = {
+        a: lfilter([1 - a], [1, -a], later)[500:] * np.sqrt((1 + a) / (1 - a))
+        for a in (0.5, 0.9)
+    }
+    twice = lfilter([0.5], [1, -0.5], lfilter([0.5], [1, -0.5], later))[500:] / np.sqrt(
+        5 / 27
+    )
+    spikes = np.where(
+        random.random(size) < 0.02, random.uniform(-80.0, 80.0, size), 0.0
+    )
     shown = {
         "white": (plant + 0.1 * white, 0.1),
         "even steps": (np.round(plant / 0.25) * 0.25, 0.25 / np.sqrt(12.0)),
@@ -96,12 +108,17 @@ def readings(plant: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
         "spikes": (plant + 0.1 * white + spikes, 0.1),
     }  # fmt: skip
     for number, reading in enumerate(map(thermistor, thermistors)):
-        shown[f"thermistor {number}"] = reading, float(np.sqrt(np.mean((reading - plant) ** 2)))
+        shown[f"thermistor {number}"] = (
+            reading,
+            float(np.sqrt(np.mean((reading - plant) ** 2))),
+        )
     return shown
 
 
 @pytest.mark.parametrize(("lag", "hold"), [(250.0, 450), (40.0, 60)])
-def test_the_noise_of_coarse_averaging_and_filtering_sensors_is_known(lag: float, hold: int) -> None:
+def test_the_noise_of_coarse_averaging_and_filtering_sensors_is_known(
+    lag: float, hold: int
+) -> None:
     levels = np.tile([0.0, 25.0, 85.0, 50.0, 15.0, 100.0, 0.0], 3150 // (7 * hold) + 1)
     u = np.repeat(levels, hold)[:3150]
     pole = np.exp(-1.0 / lag)
@@ -110,13 +127,19 @@ def test_the_noise_of_coarse_averaging_and_filtering_sensors_is_known(lag: float
         assert noise_of(reading, [u]) == pytest.approx(noise, rel=0.3), name
 
 
-def lagged(folder: Path, gain: float, lag: float, period: float, room: np.ndarray | None = None) -> Path:
+def lagged(
+    folder: Path, gain: float, lag: float, period: float, room: np.ndarray | None = None
+) -> Path:
     """A table of the exact answer of a first-order lag to steps, with noise."""
     random = np.random.default_rng(3)
     u = np.repeat(random.integers(0, 11, 40) * 10.0, 25)
     around = 20.0 if room is None else room
     pole = np.exp(-period / lag)
-    y = lfilter([0.0, 1 - pole], [1.0, -pole], gain * u) + around + 0.05 * random.standard_normal(u.size)
+    y = (
+        lfilter([0.0, 1 - pole], [1.0, -pole], gain * u)
+        + around
+        + 0.05 * random.standard_normal(u.size)
+    )
     columns = {"when": period * np.arange(u.size), "T (degC)": y, "Heat (%)": u}
     if room is not None:
         columns["Room (degC)"] = room
@@ -136,7 +159,10 @@ MAP = ["time=when", "output=T", "input=Heat"]
 def test_gain_and_lag_are_in_reach_of_the_truth(
     tmp_path_factory: pytest.TempPathFactory, gain: float, lag: float, period: float
 ) -> None:
-    proposal = propose(read_table(lagged(tmp_path_factory.getbasetemp(), gain, lag, period)), parse_map(MAP))
+    proposal = propose(
+        read_table(lagged(tmp_path_factory.getbasetemp(), gain, lag, period)),
+        parse_map(MAP),
+    )
     # A match begins there and looks twenty times farther either way.
     assert 0.5 * gain < proposal.gain < 2 * gain
     assert 0.5 * lag < proposal.lag < 2 * lag
@@ -147,21 +173,27 @@ def test_gain_and_lag_are_in_reach_of_the_truth(
     assert proposal.output.high > 20 + gain * 100
 
 
-def test_what_nothing_can_have_measured_makes_no_number_of_the_file(tmp_path: Path) -> None:
+def test_what_nothing_can_have_measured_makes_no_number_of_the_file(
+    tmp_path: Path,
+) -> None:
     room = np.full(1000, 19.0)
     room[500:599] = -8000.0
     path = lagged(tmp_path, 0.5, 30.0, 1.0, room)
     proposal = propose(read_table(path), parse_map([*MAP, "room=Room"]))
     (disturbance,) = proposal.disturbances
     assert (disturbance.low, disturbance.high) == (19.0, 19.0)
-    assert any("room is below absolute zero in 99 rows" in note for note in proposal.notes)
+    assert any(
+        "room is below absolute zero in 99 rows" in note for note in proposal.notes
+    )
 
 
 def test_a_table_without_input_or_with_a_bad_name_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no column is mapped to input"):
         propose(read_table(lagged(tmp_path, 1.0, 20.0, 1.0)), parse_map(MAP[:2]))
     for name in ("My Plant", "class", "../tank", "", "1tank", "t" * 100):
-        with pytest.raises(AddingError, match="not a valid name; use up to 60 small letters"):
+        with pytest.raises(
+            AddingError, match="not a valid name; use up to 60 small letters"
+        ):
             files_of(name, example())
     with pytest.raises(AddingError, match="there is a plant of this name"):
         files_of("peltier", example())
@@ -194,22 +226,40 @@ def pid_log(folder: Path, *titles: str) -> Path:
     ],
 )
 def test_the_files_of_any_log_of_a_loop_go_through_the_next_command(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], titles: tuple[str, ...], is_reported: bool
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    titles: tuple[str, ...],
+    is_reported: bool,
 ) -> None:
     """PID libraries call what they measure Input, and the drive Output."""
     log = pid_log(tmp_path, *titles)
     folder = str(tmp_path)
     name = f"boiler_of_{titles[2].lower()}"
     assert main(["new-plant", name, "--from", str(log), "-o", folder]) == 0
-    assert ("Input is taken as what is measured" in capsys.readouterr().out) == is_reported
+    assert (
+        "Input is taken as what is measured" in capsys.readouterr().out
+    ) == is_reported
     plant = tmp_path / f"{name}.py"
     mapped = tmp_path / f"{name}_map.yaml"
     columns = yaml.safe_load(mapped.read_text())["columns"]
-    assert [columns[name] for name in ("time", "reference", "output", "input")] == [*titles]
-    asked = ["import", str(log), "--map-file", str(mapped), "--plant", str(plant), "-o", f"{folder}/s"]
+    assert [columns[name] for name in ("time", "reference", "output", "input")] == [
+        *titles
+    ]
+    asked = [
+        "import",
+        str(log),
+        "--map-file",
+        str(mapped),
+        "--plant",
+        str(plant),
+        "-o",
+        f"{folder}/s",
+    ]
     assert main(asked) == 0
     session = open_any(tmp_path / "s")
-    assert session.samples[-1].input == pytest.approx(float(log.read_text().split(",")[-1]))
+    assert session.samples[-1].input == pytest.approx(
+        float(log.read_text().split(",")[-1])
+    )
     assert session.has_reference
 
 
@@ -218,7 +268,11 @@ def test_spikes_are_refused_before_any_twin_is_known(tmp_path: Path) -> None:
     random = np.random.default_rng(3)
     pole = np.exp(-1.0 / 120.0)
     u = np.repeat([0.0, 60.0, 20.0, 80.0, 40.0, 0.0], 300)
-    block = lfilter([0.0, 1 - pole], [1.0, -pole], 0.6 * u) + 20.0 + 0.1 * random.standard_normal(u.size)
+    block = (
+        lfilter([0.0, 1 - pole], [1.0, -pole], 0.6 * u)
+        + 20.0
+        + 0.1 * random.standard_normal(u.size)
+    )
     spikes = np.zeros(u.size)
     spikes[::97] = np.resize([94.0, -30.0, 60.0], spikes[::97].size)
     spikes[0] = 0.0
@@ -226,30 +280,52 @@ def test_spikes_are_refused_before_any_twin_is_known(tmp_path: Path) -> None:
     rows = "\n".join(f"{k},{a},{b}" for k, (a, b) in enumerate(zip(y, u, strict=True)))
     (tmp_path / "log.csv").write_text(f"when,T (degC),Heat (%)\n{rows}\n")
     proposal = propose(read_table(tmp_path / "log.csv"), parse_map(MAP))
-    assert (proposal.gain, proposal.lag, proposal.noise) == pytest.approx((0.6, 120.0, 0.1), rel=0.1)
+    assert (proposal.gain, proposal.lag, proposal.noise) == pytest.approx(
+        (0.6, 120.0, 0.1), rel=0.1
+    )
     plant = find_plant(str(written(tmp_path, proposal, "spiky_one")[0]))
     settled = filled(samples_of(Window(y, y, u)), TwinSettings.of(plant))
-    assert [sample.index for sample in settled if not sample.seen] == np.flatnonzero(spikes).tolist()
+    assert [sample.index for sample in settled if not sample.seen] == np.flatnonzero(
+        spikes
+    ).tolist()
 
 
 def test_defaults_are_within_their_bounds(tmp_path: Path) -> None:
     """A pump that never stops: the level without it is far from all readings."""
     random = np.random.default_rng(3)
     u = np.repeat(random.uniform(40.0, 55.0, 20), 60)
-    y = lfilter([0.0, 0.05], [1.0, -0.95], 3.0 * u - 150.0) + 0.05 * random.standard_normal(u.size)
-    rows = "\n".join(f"{k},{a:.3f},{b:.2f}" for k, (a, b) in enumerate(zip(y, u, strict=True)))
+    y = lfilter(
+        [0.0, 0.05], [1.0, -0.95], 3.0 * u - 150.0
+    ) + 0.05 * random.standard_normal(u.size)
+    rows = "\n".join(
+        f"{k},{a:.3f},{b:.2f}" for k, (a, b) in enumerate(zip(y, u, strict=True))
+    )
     (tmp_path / "log.csv").write_text(f"when,T (mbar),Heat (l/min)\n{rows}\n")
     proposal = propose(read_table(tmp_path / "log.csv"), parse_map(MAP))
     plant = find_plant(str(written(tmp_path, proposal, "pumped_one")[0]))
-    assert not [finding for finding in check_plant(plant).findings if "outside its bounds" in finding.what]
+    assert not [
+        finding
+        for finding in check_plant(plant).findings
+        if "outside its bounds" in finding.what
+    ]
 
 
-TITLES = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\n\r\0"), max_size=12)
+TITLES = st.text(
+    st.characters(exclude_categories=["Cs"], exclude_characters="\n\r\0"), max_size=12
+)
 
 
 @settings(max_examples=25)
-@given(TITLES, TITLES, TITLES, TITLES, st.sampled_from(["cistern", "state", "equations", "plant"]))
-def test_any_titles_and_units_give_valid_files(y: str, u: str, room: str, unit: str, name: str) -> None:
+@given(
+    TITLES,
+    TITLES,
+    TITLES,
+    TITLES,
+    st.sampled_from(["cistern", "state", "equations", "plant"]),
+)
+def test_any_titles_and_units_give_valid_files(
+    y: str, u: str, room: str, unit: str, name: str
+) -> None:
     """Titles in any script, with quotes, braces and backslashes."""
     seconds = np.arange(400.0)
     columns = {
@@ -260,7 +336,9 @@ def test_any_titles_and_units_give_valid_files(y: str, u: str, room: str, unit: 
     }
     table = Table(Path('a"b\\{{c}}.csv'), columns, range(1, 401))
     sources = zip(("time", "output", "input", "on"), columns, strict=True)
-    proposal = propose(table, SignalMap({signal: SignalSource((title,)) for signal, title in sources}))
+    proposal = propose(
+        table, SignalMap({signal: SignalSource((title,)) for signal, title in sources})
+    )
     files = files_of(f"my_{name}" if name == "plant" else name, proposal)
     plant, test, config, columns_map = files.values()
     compile(test, "test", "exec")
@@ -269,7 +347,9 @@ def test_any_titles_and_units_give_valid_files(y: str, u: str, room: str, unit: 
     assert list(read) == list(proposal.sources)
     module: dict[str, object] = {"__name__": "written"}
     exec(compile(plant, "plant", "exec"), module)
-    plant_class = next(v for v in module.values() if isinstance(v, type) and v.__module__ == "written")
+    plant_class = next(
+        v for v in module.values() if isinstance(v, type) and v.__module__ == "written"
+    )
     assert [plant_class.output.name, plant_class.drive.name, *plant_class.disturbances] == [
         proposal.output.name, proposal.input.name, *(d.name for d in proposal.disturbances),
     ]  # fmt: skip
@@ -285,23 +365,46 @@ def written(folder: Path, proposal: Proposal, name: str) -> list[Path]:
 
 
 def own_tests_pass(path: Path) -> None:
-    tests = [test for name, test in runpy.run_path(str(path)).items() if name.startswith("test_")]
+    tests = [
+        test
+        for name, test in runpy.run_path(str(path)).items()
+        if name.startswith("test_")
+    ]
     assert len(tests) == 2
     for test in tests:
         test()
 
 
-def test_what_is_written_passes_its_own_test_and_the_house_style(tmp_path: Path) -> None:
+def test_what_is_written_passes_its_own_test_and_the_house_style(
+    tmp_path: Path,
+) -> None:
     room = 20 + np.sin(np.arange(1000) / 100)
-    proposal = propose(read_table(lagged(tmp_path, 0.8, 40.0, 1.0, room)), parse_map([*MAP, "room=Room"]))
+    proposal = propose(
+        read_table(lagged(tmp_path, 0.8, 40.0, 1.0, room)),
+        parse_map([*MAP, "room=Room"]),
+    )
     paths = written(tmp_path, proposal, "my_kiln")
     assert [path.name for path in paths] == [
         *("my_kiln.py", "test_my_kiln.py", "my_kiln.yaml", "my_kiln_map.yaml")
     ]
-    assert yaml.safe_load((tmp_path / "my_kiln_map.yaml").read_text())["columns"]["room"] == "Room"
+    assert (
+        yaml.safe_load((tmp_path / "my_kiln_map.yaml").read_text())["columns"]["room"]
+        == "Room"
+    )
     own_tests_pass(paths[1])
-    style = (sys.executable, "-m", "ruff", "format", "--check", "--line-length", "110", *paths[:2])
-    process = Process(*style, output=tmp_path / "said.txt", folder=tmp_path, forked=True)
+    style = (
+        sys.executable,
+        "-m",
+        "ruff",
+        "format",
+        "--check",
+        "--line-length",
+        "110",
+        *paths[:2],
+    )
+    process = Process(
+        *style, output=tmp_path / "said.txt", folder=tmp_path, forked=True
+    )
     assert process.wait() == 0, process.text
 
 
@@ -310,7 +413,10 @@ def test_a_disturbance_of_another_kind_is_left_to_the_reader(tmp_path: Path) -> 
     rng = np.random.default_rng(2)
     u = np.repeat(rng.uniform(5.0, 18.0, 40), 25)
     y = lfilter([0.0, 0.1], [1.0, -0.9], u) + 0.01 * rng.standard_normal(u.size)
-    rows = "\n".join(f"{k},{a:.4f},{b:.4f},25.{k % 7}" for k, (a, b) in enumerate(zip(y, u, strict=True)))
+    rows = "\n".join(
+        f"{k},{a:.4f},{b:.4f},25.{k % 7}"
+        for k, (a, b) in enumerate(zip(y, u, strict=True))
+    )
     (tmp_path / "cell.csv").write_text(f"time,U (V),Flow (L/min),Temp (C)\n{rows}\n")
     given_map = ["time=time", "output=U", "input=Flow", "temperature=Temp"]
     proposal = propose(read_table(tmp_path / "cell.csv"), parse_map(given_map))
@@ -329,9 +435,15 @@ def test_a_dead_time_is_found_with_the_file_as_it_was_written(tmp_path: Path) ->
     power = np.repeat([0.0, 60.0, 20.0, 80.0, 40.0, 0.0], 200)
     acts = np.concatenate([np.zeros(late), power[:-late]])
     pole = np.exp(-1.0 / 60.0)
-    y = lfilter([0.0, 1 - pole], [1.0, -pole], 0.5 * acts) + 20.0 + 0.05 * random.standard_normal(power.size)
+    y = (
+        lfilter([0.0, 1 - pole], [1.0, -pole], 0.5 * acts)
+        + 20.0
+        + 0.05 * random.standard_normal(power.size)
+    )
     table = tmp_path / "late.csv"
-    rows = "\n".join(f"{k},{a:.3f},{b}" for k, (a, b) in enumerate(zip(y, power, strict=True)))
+    rows = "\n".join(
+        f"{k},{a:.3f},{b}" for k, (a, b) in enumerate(zip(y, power, strict=True))
+    )
     table.write_text(f"when,T (degC),Heat (%)\n{rows}\n")
     path = written(tmp_path, propose(read_table(table), parse_map(MAP)), "late_one")[0]
     plant = find_plant(str(path))
@@ -356,31 +468,44 @@ def switched_by_a_thermostat(late: int, rows: int) -> tuple[FloatArray, FloatArr
         reading = temperature + 0.1 * random.standard_normal()
         readings.append(reading)
         wanted = 45.0 if row < rows // 2 else 55.0
-        is_on = row > 20 and reading < wanted + (0.5 if is_on else -0.5)  # off until it has rested
+        # off until it has rested
+        is_on = row > 20 and reading < wanted + (0.5 if is_on else -0.5)
         switches.append(float(is_on))
-        temperature = 20.0 + (temperature - 20.0) * pole + 60.0 * (1.0 - pole) * switches[row]
+        temperature = (
+            20.0 + (temperature - 20.0) * pole + 60.0 * (1.0 - pole) * switches[row]
+        )
     return np.array(readings), np.array(switches[late:])
 
 
-def test_a_dead_time_before_a_switch_is_written_so_that_its_corners_are_followed(tmp_path: Path) -> None:
+def test_a_dead_time_before_a_switch_is_written_so_that_its_corners_are_followed(
+    tmp_path: Path,
+) -> None:
     readings, switch = switched_by_a_thermostat(late=8, rows=720)
     table = tmp_path / "thermostat.csv"
-    rows = "\n".join(f"{5 * k},{y:.3f},{u:g}" for k, (y, u) in enumerate(zip(readings, switch, strict=True)))
+    rows = "\n".join(
+        f"{5 * k},{y:.3f},{u:g}"
+        for k, (y, u) in enumerate(zip(readings, switch, strict=True))
+    )
     table.write_text(f"when,T (degC),Heat\n{rows}\n")
     entries = ["time=when", "output=T", "input=Heat"]
-    path = written(tmp_path, propose(read_table(table), parse_map(entries)), "switched_one")[0]
+    path = written(
+        tmp_path, propose(read_table(table), parse_map(entries)), "switched_one"
+    )[0]
     plant = find_plant(str(path))
     window = Window(readings, readings, switch, period=5.0)
     fitted = fit_structure([window], plant.model("dead time"), law=None, thorough=False)
     left = fitted.measured[0][0] - fitted.simulated[0][0]
     # Two states leave 0.25 of noise of 0.1, four 0.13.
     assert np.sqrt(np.mean(left**2)) < 0.15
-    assert fitted.parameters["dead_time"] == pytest.approx(40.0, abs=0.5)  # a tenth of a row
+    # a tenth of a row
+    assert fitted.parameters["dead_time"] == pytest.approx(40.0, abs=0.5)
     assert fitted.parameters["gain"] == pytest.approx(60.0, rel=0.01)
     assert fitted.parameters["lag"] == pytest.approx(400.0, rel=0.01)
 
 
-def test_a_constant_load_and_a_second_lag_are_found_with_the_file_as_it_was_written(tmp_path: Path) -> None:
+def test_a_constant_load_and_a_second_lag_are_found_with_the_file_as_it_was_written(
+    tmp_path: Path,
+) -> None:
     """Something that nobody measured adds 4 K to a measured room, and the sensor lags by 8 s."""
     room = 20 + np.sin(np.arange(1200) / 100)
     u = np.repeat([0.0, 60.0, 20.0, 80.0, 40.0, 0.0], 200)
@@ -390,7 +515,10 @@ def test_a_constant_load_and_a_second_lag_are_found_with_the_file_as_it_was_writ
     y = 24.0 + lfilter([0.0, 1 - late], [1.0, -late], inner)
     y += 0.05 * np.random.default_rng(3).standard_normal(u.size)
     table = tmp_path / "loaded.csv"
-    rows = "\n".join(f"{k},{a:.3f},{b},{c:.3f}" for k, (a, b, c) in enumerate(zip(y, u, room, strict=True)))
+    rows = "\n".join(
+        f"{k},{a:.3f},{b},{c:.3f}"
+        for k, (a, b, c) in enumerate(zip(y, u, room, strict=True))
+    )
     table.write_text(f"when,T (degC),Heat (%),Room (degC)\n{rows}\n")
     proposal = propose(read_table(table), parse_map([*MAP, "room=Room"]))
     plant = find_plant(str(written(tmp_path, proposal, "loaded_one")[0]))
@@ -401,19 +529,34 @@ def test_a_constant_load_and_a_second_lag_are_found_with_the_file_as_it_was_writ
     assert fitted.parameters["gain"] == pytest.approx(0.5, rel=0.01)
     assert fitted.parameters["sensor_lag"] == pytest.approx(8.0, rel=0.15)
     simplest = fit_structure([window], plant.model("one lag"), law=None)
-    assert simplest.parameters["load"] == pytest.approx(4.0, abs=0.5)  # a lag of two stores in one
+    # a lag of two stores in one
+    assert simplest.parameters["load"] == pytest.approx(4.0, abs=0.5)
     assert simplest.cost > 5 * fitted.cost
 
 
-def test_a_second_store_is_found_with_the_file_as_it_was_written(tmp_path: Path) -> None:
+def test_a_second_store_is_found_with_the_file_as_it_was_written(
+    tmp_path: Path,
+) -> None:
     """Heavy walls, on twelve days of a simulated room."""
     room = recorded_room(1, 2)
-    rows = zip(np.arange(len(room)) * PERIOD, room.output, room.input, room.disturbances[:, 0], strict=True)
+    rows = zip(
+        np.arange(len(room)) * PERIOD,
+        room.output,
+        room.input,
+        room.disturbances[:, 0],
+        strict=True,
+    )
     table = tmp_path / "walls.csv"
-    table.write_text("when,T (degC),Heat (kW),Room (degC)\n" + "\n".join(",".join(map(str, r)) for r in rows))
+    table.write_text(
+        "when,T (degC),Heat (kW),Room (degC)\n"
+        + "\n".join(",".join(map(str, r)) for r in rows)
+    )
     proposal = propose(read_table(table), parse_map([*MAP, "room=Room"]))
     plant = find_plant(str(written(tmp_path, proposal, "walled_one")[0]))
-    cost_of = {n: fit_structure([room], plant.model(n), law=None).cost for n in ("one lag", "second store")}
+    cost_of = {
+        n: fit_structure([room], plant.model(n), law=None).cost
+        for n in ("one lag", "second store")
+    }
     assert cost_of["second store"] < 0.1 * cost_of["one lag"]
 
 
@@ -431,7 +574,8 @@ def test_the_example_passes_its_own_test(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stuck", "expected"), [(False, []), (True, ["no window could be matched, because the plant seemed"])]
+    ("stuck", "expected"),
+    [(False, []), (True, ["no window could be matched, because the plant seemed"])],
 )
 def test_a_fault_that_keeps_every_window_out_is_named(
     tmp_path: Path, stuck: bool, expected: list[str]
@@ -445,11 +589,15 @@ def test_a_fault_that_keeps_every_window_out_is_named(
     if stuck:
         y[65:120] = y[65]
     run = Window(np.zeros(u.size), y, u, disturbances=np.full((u.size, 1), 20.0))
-    session = session_of(Path("block.csv"), samples_of(run), plant=plant.name, has_reference=False)
+    session = session_of(
+        Path("block.csv"), samples_of(run), plant=plant.name, has_reference=False
+    )
     shown: set[str] = set()
     checked = check_data(session, plant, lambda what, *_: shown.add(what.split()[0]))
     assert shown == {"judging", "fitting"}
-    assert [f.what[: len(w)] for f, w in zip(checked.findings, expected, strict=True)] == expected
+    assert [
+        f.what[: len(w)] for f, w in zip(checked.findings, expected, strict=True)
+    ] == expected
 
 
 GAINS = PidGains(0.15, 0.6, 0.0, 20.0, low=-24.0, high=24.0, period=0.05)
@@ -462,7 +610,9 @@ def driven_by(gains: PidGains, *, has_reference: bool = True) -> Session:
     run = simulate_closed_loop(motor, reference, states=begin(motor, 0.0), law=gains)
     y = run.output + 0.2 * np.random.default_rng(3).standard_normal(reference.size)
     samples = samples_of(Window(reference, y, np.asarray(run.input), period=0.05))
-    return session_of(Path("run.csv"), tuple(samples), plant=Motor.name, has_reference=has_reference)
+    return session_of(
+        Path("run.csv"), tuple(samples), plant=Motor.name, has_reference=has_reference
+    )
 
 
 def test_the_loop_that_ran_the_plant_is_not_a_finding() -> None:
@@ -473,14 +623,23 @@ def test_the_loop_that_ran_the_plant_is_not_a_finding() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"proportional": 0.3}, {"integral": 0.3}, {"back_calculation": 0.0}, {"high": 12.0}],
+    [
+        {"proportional": 0.3},
+        {"integral": 0.3},
+        {"back_calculation": 0.0},
+        {"high": 12.0},
+    ],
     ids=["proportional", "integral", "windup", "limit"],
 )
 def test_another_loop_is_a_finding(wrong: dict[str, float]) -> None:
     (finding,) = loop_findings(driven_by(GAINS), Motor, replace(GAINS, **wrong))
     assert "does not give the recorded input" in finding.what
     assert "back_calculation" in finding.todo
-    assert not [*loop_findings(driven_by(GAINS, has_reference=False), Motor, replace(GAINS, **wrong))]
+    assert not [
+        *loop_findings(
+            driven_by(GAINS, has_reference=False), Motor, replace(GAINS, **wrong)
+        )
+    ]
 
 
 def test_the_rig_was_run_by_the_loop_in_its_file() -> None:
@@ -501,7 +660,9 @@ def recorded(structure: str) -> list[Sample]:
     u = np.repeat(random.uniform(5.0, 80.0, 12), 50)
     run = simulate_driven(p, u, states=begin(p, 20.0 + u[0], input=float(u[0])))
     y = run.output + random.normal(0.0, 0.1, u.size)
-    window = Window(np.zeros(u.size), y, u, period=1.0, disturbances=np.full((u.size, 1), 20.0))
+    window = Window(
+        np.zeros(u.size), y, u, period=1.0, disturbances=np.full((u.size, 1), 20.0)
+    )
     return list(samples_of(window))
 
 
@@ -514,21 +675,27 @@ def driven_lag() -> list[Sample]:
 
 
 def test_the_structure_that_made_the_data_is_recommended() -> None:
-    findings, notes, *_ = compare_structures(stretches(recorded("with pipe"), 1.0), Exchanger, DRIVEN)
+    findings, notes, *_ = compare_structures(
+        stretches(recorded("with pipe"), 1.0), Exchanger, DRIVEN
+    )
     assert [finding.what for finding in findings] == [
         "the recording supports the structure 'with pipe' rather than 'without'"
     ]
     assert "first" in findings[0].todo
     lines = {note.split(":")[0].strip(): note for note in notes}
     # The delay of 5 s is found to about its standard error of 0.02 s.
-    assert float(lines["with pipe"].split("delay = ")[1]) == pytest.approx(5.0, abs=0.06)
+    assert float(lines["with pipe"].split("delay = ")[1]) == pytest.approx(
+        5.0, abs=0.06
+    )
     # White noise of the declared size is left, within 3 standard errors of an estimate from 600 samples.
     residual = float(lines["with pipe"].split("(")[1].split(" ")[0])
     assert abs(residual - 1.0) < 0.09
 
 
 def test_the_simpler_one_is_kept_if_it_suffices() -> None:
-    findings, notes, *_ = compare_structures(stretches(recorded("without"), 1.0), Exchanger, DRIVEN)
+    findings, notes, *_ = compare_structures(
+        stretches(recorded("without"), 1.0), Exchanger, DRIVEN
+    )
     assert findings == []
     assert "choose: without" in notes[-1]
     assert notes[0] == "each structure fitted to all 600 samples:"
@@ -536,7 +703,10 @@ def test_the_simpler_one_is_kept_if_it_suffices() -> None:
 
 def in_rows_before(samples: list[Sample]) -> list[Sample]:
     """Samples as a logger writes them that puts the input of an interval beside the reading at its end."""
-    return [replace(now, inputs=before.inputs) for before, now in itertools.pairwise(samples)]
+    return [
+        replace(now, inputs=before.inputs)
+        for before, now in itertools.pairwise(samples)
+    ]
 
 
 def test_rows_with_the_input_of_the_interval_before_are_recognised() -> None:
@@ -550,8 +720,15 @@ def test_rows_with_the_input_of_the_interval_before_are_recognised() -> None:
 
 
 def test_there_is_nothing_to_compare_with_one_structure_or_few_samples() -> None:
-    assert compare_structures(stretches(recorded("without")[:50], 1.0), Exchanger, DRIVEN).notes == []
-    comparison = compare_structures(stretches(driven_lag(), 1.0), Lag, TwinSettings.of(Lag))
+    assert (
+        compare_structures(
+            stretches(recorded("without")[:50], 1.0), Exchanger, DRIVEN
+        ).notes
+        == []
+    )
+    comparison = compare_structures(
+        stretches(driven_lag(), 1.0), Lag, TwinSettings.of(Lag)
+    )
     assert comparison.findings == []
     assert len(comparison.notes) == 2
     assert comparison.least[0] < 1e-6
@@ -564,11 +741,18 @@ def test_a_recording_of_several_loops_is_checked_over_all_of_them() -> None:
     y = simulate_driven(truth, u, states=begin(truth, [23.0, 23.0]), period=2.0).outputs
     y += np.array([0.1, 0.6]) * rng.standard_normal(y.shape)
     run = samples_of(Window(np.zeros_like(u), y, u, period=2.0))
-    session = session_of(Path("two.csv"), tuple(run), plant=Heaters.name, has_reference=False)
+    session = session_of(
+        Path("two.csv"), tuple(run), plant=Heaters.name, has_reference=False
+    )
     checked = check_data(session, Heaters)
     noise, left_over = [finding.what for finding in checked.findings]
-    assert left_over == "over the whole recording, the best of the structures leaves 0.59 °C of second"
-    assert noise.startswith("the noise of the output second is declared as 0.1, but measured as 0.")
+    assert (
+        left_over
+        == "over the whole recording, the best of the structures leaves 0.59 °C of second"
+    )
+    assert noise.startswith(
+        "the noise of the output second is declared as 0.1, but measured as 0."
+    )
     lines = {note.split(":")[0].strip(): note for note in checked.notes}
     residuals = [float(part.split(" ")[0]) for part in lines["all"].split("(")[1:]]
     # White noise of 1 and 6 times the declared size, within 3 standard errors of 1000 samples.
@@ -577,20 +761,49 @@ def test_a_recording_of_several_loops_is_checked_over_all_of_them() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [FIRST, pytest.param(SECOND, marks=pytest.mark.long("judges one more published run as a whole"))]
+    "name",
+    [
+        FIRST,
+        pytest.param(
+            SECOND, marks=pytest.mark.long("judges one more published run as a whole")
+        ),
+    ],
 )
 def test_check_and_verdict_name_the_same_structure(name: str, tmp_path: Path) -> None:
     """Of those that are watched beside a plant; the others are compared by the check alone."""
     if not (OTHERS / "incubator" / f"{name}.csv").exists():
-        pytest.skip("the shared recordings are not here; see TWINMATCH_PLANT_RECORDINGS")
+        pytest.skip(
+            "the shared recordings are not here; see TWINMATCH_PLANT_RECORDINGS"
+        )
     table = OTHERS / "incubator" / f"{name}.csv"
     out = tmp_path / "session"
     mapped = ["time=time", "output=t2, t3", "input=heater_on", "room=t1"]
-    assert main(["import", str(table), "--plant", "incubator", "--map", *mapped, "-o", str(out)]) == 0
+    assert (
+        main(
+            [
+                "import",
+                str(table),
+                "--plant",
+                "incubator",
+                "--map",
+                *mapped,
+                "-o",
+                str(out),
+            ]
+        )
+        == 0
+    )
     session = open_any(out)
     verdict = judge(session, terms_from_files(session)).verdicts[-1]
     notes = check_data(session, Incubator).notes
     assert verdict.structure == "box with mass"
-    error_words = {note.split(":")[0].strip(): note.split("off by ")[1] for note in notes if "off by" in note}
+    error_words = {
+        note.split(":")[0].strip(): note.split("off by ")[1]
+        for note in notes
+        if "off by" in note
+    }
     beside = [model.structure_name for model in watched(Incubator)]
-    assert min(beside, key=lambda watched: float(error_words[watched].split(" ")[0])) == verdict.structure
+    assert (
+        min(beside, key=lambda watched: float(error_words[watched].split(" ")[0]))
+        == verdict.structure
+    )

@@ -25,7 +25,10 @@ from twinmatch.twin import TwinSettings
 
 
 def written(path: Path, columns: dict[str, FloatArray]) -> Path:
-    rows = [",".join(f"{value:.6g}" for value in row) for row in zip(*columns.values(), strict=True)]
+    rows = [
+        ",".join(f"{value:.6g}" for value in row)
+        for row in zip(*columns.values(), strict=True)
+    ]
     path.write_text("\n".join([",".join(columns), *rows]) + "\n")
     return path
 
@@ -41,7 +44,9 @@ def lagged(steady: FloatArray, lag: float, start: float, seed: int) -> FloatArra
     for level in steady:
         values.append(value)
         value += (level - value) / lag
-    return np.array(values) + 0.05 * np.random.default_rng(seed).standard_normal(steady.size)
+    return np.array(values) + 0.05 * np.random.default_rng(seed).standard_normal(
+        steady.size
+    )
 
 
 def two_zones(path: Path) -> Path:
@@ -67,23 +72,37 @@ def two_relays(path: Path, *, cool_moves: bool = True) -> Path:
     return written(path, columns | {"heat": heat, "cool": cool})
 
 
-ZONES = ["time=time", "output.1=left", "output.2=right", "input.1=left_pwm", "input.2=right_pwm"]
+ZONES = [
+    "time=time",
+    "output.1=left",
+    "output.2=right",
+    "input.1=left_pwm",
+    "input.2=right_pwm",
+]
 
 
 def test_gains_and_lags_of_several_loops_are_near_the_truth(tmp_path: Path) -> None:
-    proposal = propose_several(open_table(two_zones(tmp_path / "zones.csv")), parse_map(ZONES))
+    proposal = propose_several(
+        open_table(two_zones(tmp_path / "zones.csv")), parse_map(ZONES)
+    )
     assert [output.signal.name for output in proposal.outputs] == ["left", "right"]
     assert [u.name for u in proposal.inputs] == ["left_pwm", "right_pwm"]
-    for output, gains, lag in zip(proposal.outputs, [(0.5, 0.1), (0.1, 0.4)], (60.0, 90.0), strict=True):
+    for output, gains, lag in zip(
+        proposal.outputs, [(0.5, 0.1), (0.1, 0.4)], (60.0, 90.0), strict=True
+    ):
         # Least squares over blocks: some percent of the largest gain.
         assert output.gains == pytest.approx(gains, abs=0.05)
         assert output.lag == pytest.approx(lag, rel=0.2)
         assert output.signal.unit == "°C"
 
 
-def test_the_files_of_several_loops_have_no_findings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_files_of_several_loops_have_no_findings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    proposal = propose_several(open_table(two_zones(tmp_path / "zones.csv")), parse_map(ZONES))
+    proposal = propose_several(
+        open_table(two_zones(tmp_path / "zones.csv")), parse_map(ZONES)
+    )
     for name, text in files_of("zones_of_two", proposal).items():
         (tmp_path / name).write_text(text)
     assert check_plant(find_plant("zones_of_two.py")).findings == ()
@@ -97,19 +116,34 @@ def test_a_table_of_two_loops_gives_the_map_of_both(
     two_zones(Path("zones.csv"))
     assert main(["new-plant", "zones_left", "--from", "zones.csv"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    (line,) = [line for line in lines if line.startswith("The table has signals of 2 loops")]
+    (line,) = [
+        line for line in lines if line.startswith("The table has signals of 2 loops")
+    ]
     given_map = shlex.split(line.partition("--map ")[2])
-    assert main(["new-plant", "zones_both", "--from", "zones.csv", "--map", *given_map]) == 0
+    assert (
+        main(["new-plant", "zones_both", "--from", "zones.csv", "--map", *given_map])
+        == 0
+    )
     assert sorted(find_plant("zones_both.py").outputs) == ["left", "right"]
 
 
 def guess(path: Path) -> dict[str, str]:
     table = open_table(path)
-    return {signal: source.text for signal, source in proposed(columns_of(table), table).items()}
+    return {
+        signal: source.text
+        for signal, source in proposed(columns_of(table), table).items()
+    }
 
 
-def test_two_relays_are_two_inputs_if_the_output_moves_with_both(tmp_path: Path) -> None:
-    expected = {"time": "time", "output": "Temp (degC)", "input.1": "heat", "input.2": "cool"}
+def test_two_relays_are_two_inputs_if_the_output_moves_with_both(
+    tmp_path: Path,
+) -> None:
+    expected = {
+        "time": "time",
+        "output": "Temp (degC)",
+        "input.1": "heat",
+        "input.2": "cool",
+    }
     assert guess(two_relays(tmp_path / "relays.csv")) == expected
     assert guess(two_relays(tmp_path / "one.csv", cool_moves=False))["input"] == "heat"
 
@@ -141,15 +175,26 @@ def test_of_a_cell_the_current_is_the_input(tmp_path: Path) -> None:
     current = held([-30, 20, 0, -10], 800, 100)
     columns = {"Time(s)": np.arange(800.0), "Current(A)": current}
     path = written(
-        tmp_path / "cell.csv", columns | {"Voltage(V)": lagged(3.5 + 0.01 * current, 30.0, 3.5, 1)}
+        tmp_path / "cell.csv",
+        columns | {"Voltage(V)": lagged(3.5 + 0.01 * current, 30.0, 3.5, 1)},
     )
-    assert guess(path) == {"time": "Time(s)", "output": "Voltage(V)", "input": "Current(A)"}
+    assert guess(path) == {
+        "time": "Time(s)",
+        "output": "Voltage(V)",
+        "input": "Current(A)",
+    }
 
 
-@pytest.mark.parametrize("title", ["SetTemp", "T_soll", "target temperature", "SV", "temp set"])
+@pytest.mark.parametrize(
+    "title", ["SetTemp", "T_soll", "target temperature", "SV", "temp set"]
+)
 def test_a_set_point_is_not_an_input(tmp_path: Path, title: str) -> None:
     wanted = held([20, 40, 30], 600, 200)
-    columns = {"time": np.arange(600.0), "temp": lagged(wanted, 30.0, 20.0, 1), title: wanted}
+    columns = {
+        "time": np.arange(600.0),
+        "temp": lagged(wanted, 30.0, 20.0, 1),
+        title: wanted,
+    }
     signals = guess(written(tmp_path / "log.csv", columns))
     assert signals == {"time": "time", "output": "temp", "reference": title}
 
@@ -169,26 +214,39 @@ def one_loop(path: Path, kind: str) -> Path:
         time = time / 10.0
         u = held([0, 60, 20], 2400, 800)
         y = lagged(20 + 0.5 * u, 1200.0, 20.0, 5)
-    return written(path, {"time (s)": time[kept], "T (degC)": y[kept], "output (%)": u[kept]})
+    return written(
+        path, {"time (s)": time[kept], "T (degC)": y[kept], "output (%)": u[kept]}
+    )
 
 
 def advised(capsys: pytest.CaptureFixture[str]) -> list[list[str]]:
     """The commands of twinmatch that were advised, in words."""
-    lines = [line.partition(". ")[2].partition("#")[0] for line in capsys.readouterr().out.splitlines()]
+    lines = [
+        line.partition(". ")[2].partition("#")[0]
+        for line in capsys.readouterr().out.splitlines()
+    ]
     return [shlex.split(line)[1:] for line in lines if line.startswith("twinmatch ")]
 
 
 @pytest.mark.parametrize("kind", ["limits", "gap", "pace", "fine", "relays"])
 def test_each_command_takes_what_the_one_before_advises(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], kind: str
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    kind: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    make = two_relays(Path("log.csv")) if kind == "relays" else one_loop(Path("log.csv"), kind)
+    make = (
+        two_relays(Path("log.csv"))
+        if kind == "relays"
+        else one_loop(Path("log.csv"), kind)
+    )
     assert main(["new-plant", f"advised_{kind}", "--from", str(make)]) == 0
     check, imported, replayed = advised(capsys)
     assert ("--bridge" in check) is (kind == "pace")
     assert ("split" in check) is (kind == "gap")
-    assert main(check) in (0, 1), capsys.readouterr().err  # findings are for the user, a refusal would be 2
+    # findings are for the user, a refusal would be 2
+    assert main(check) in (0, 1), capsys.readouterr().err
     assert main(imported) == 0, capsys.readouterr().err
     if kind == "limits":
         assert main(replayed) == 0, capsys.readouterr().err
@@ -204,13 +262,17 @@ def test_limits_hold_every_row(tmp_path: Path) -> None:
     assert propose(open_table(path), coarse).input.high == 101.0
 
 
-def test_rows_much_finer_than_the_plant_get_a_period_of_the_plant(tmp_path: Path) -> None:
+def test_rows_much_finer_than_the_plant_get_a_period_of_the_plant(
+    tmp_path: Path,
+) -> None:
     signal_map = parse_map(["time=time", "output=T", "input=output"])
     proposal = propose(open_table(one_loop(tmp_path / "log.csv", "fine")), signal_map)
     assert 60.0 < proposal.lag < 240.0  # 120 s, of rows 0.1 s apart
     assert proposal.period in {1.0, 2.0, 5.0}
     (note,) = proposal.notes
-    assert note.startswith("The rows are 0.1 s apart, the plant's time constant is about")
+    assert note.startswith(
+        "The rows are 0.1 s apart, the plant's time constant is about"
+    )
 
 
 def test_structures_are_compared_where_the_plant_moves() -> None:
@@ -220,10 +282,15 @@ def test_structures_are_compared_where_the_plant_moves() -> None:
     run = simulate_driven(truth, u, states=begin(truth, 0.0), period=1.0)
     y = run.output + 0.01 * np.random.default_rng(1).standard_normal(u.size)
     window = Window(np.zeros(u.size), y, u, period=1.0)
-    compared = compare_structures([window], Lag, TwinSettings.of(Lag, period=1.0, law=None))
+    compared = compare_structures(
+        [window], Lag, TwinSettings.of(Lag, period=1.0, law=None)
+    )
     assert compared.notes[0] == "each structure fitted to 7200 of 8200 samples:"
     # What the noise leaves; at rest alone the gain would stay where it begins, at 2.
-    gain, lag = (float(value) for value in re.findall(r"(?:gain|lag) = ([\d.]+)", compared.notes[1]))
+    gain, lag = (
+        float(value)
+        for value in re.findall(r"(?:gain|lag) = ([\d.]+)", compared.notes[1])
+    )
     assert (gain, lag) == pytest.approx((3.0, 8.0), rel=0.01)
 
 
@@ -243,5 +310,8 @@ def test_a_short_stretch_is_left_out_with_a_note(
     check, *_ = advised(capsys)
     main(check)
     shown = capsys.readouterr().out
-    assert "1 stretch is left out of the comparison: 61 samples, fewer than 90 each" in shown
+    assert (
+        "1 stretch is left out of the comparison: 61 samples, fewer than 90 each"
+        in shown
+    )
     assert "each structure fitted to 900 of 961 samples" in shown

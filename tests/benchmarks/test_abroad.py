@@ -20,31 +20,41 @@ LONG = {"rig": 3000, "kit": 3000, "incubator": 30_000, "motor": 10, "tanks": 200
 """Seconds after which each kind is at rest."""
 
 
-def rig_out_of_balance(p: Mapping[str, float], x: tuple[float, ...], u: float, room: float) -> float:
+def rig_out_of_balance(
+    p: Mapping[str, float], x: tuple[float, ...], u: float, room: float
+) -> float:
     plate, sink = x
     current = (-p["supply"] * u / 255 - p["seebeck"] * (sink - plate)) / 3.4
     electric = 3.3 * current**2 + p["seebeck"] * (sink - plate) * current
     return electric - p["convection"] * (sink - KELVIN - room)
 
 
-def kit_out_of_balance(p: Mapping[str, float], x: tuple[float, ...], u: float, room: float) -> float:
+def kit_out_of_balance(
+    p: Mapping[str, float], x: tuple[float, ...], u: float, room: float
+) -> float:
     warm = x[0]
     cold = room + KELVIN
     radiated = 0.9 * 5.670374e-8 * 10e-4 * (warm**4 - cold**4)
     return p["heating"] * u - p["losses"] * 10e-4 * (warm - cold) - radiated
 
 
-def incubator_out_of_balance(p: Mapping[str, float], x: tuple[float, ...], u: float, room: float) -> float:
+def incubator_out_of_balance(
+    p: Mapping[str, float], x: tuple[float, ...], u: float, room: float
+) -> float:
     resistance = 1 / p["wall_conductance"] + 1 / p["box_conductance"]
     return p["power"] * u - (x[3] - room) / resistance
 
 
-def motor_out_of_balance(p: Mapping[str, float], x: tuple[float, ...], u: float, _: float) -> float:
+def motor_out_of_balance(
+    p: Mapping[str, float], x: tuple[float, ...], u: float, _: float
+) -> float:
     torque = p["k"] * (u - p["k"] * x[0]) / p["resistance"]
     return 100 * (torque - p["dry"] - p["viscous"] * x[0])
 
 
-def tanks_out_of_balance(p: Mapping[str, float], x: tuple[float, ...], u: float, _: float) -> float:
+def tanks_out_of_balance(
+    p: Mapping[str, float], x: tuple[float, ...], u: float, _: float
+) -> float:
     return 10 * (x[1] - (p["pump"] * u / p["lower_hole"]) ** 2)
 
 
@@ -59,12 +69,15 @@ CASES: dict[str, tuple[float, Callable[..., float]]] = {
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_at_rest_as_much_enters_a_plant_as_leaves_it(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_at_rest_as_much_enters_a_plant_as_leaves_it(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     u, out_of_balance = CASES[name]
     kind = KINDS[name]
     plant = AbroadPlant(kind, 3, (), closed=False)
     monkeypatch.setattr(plant, "level", lambda _: u)
-    monkeypatch.setitem(plant.parameters, "box_capacity", 500.0)  # hours pass before a real one is at rest
+    # hours pass before a real one is at rest
+    monkeypatch.setitem(plant.parameters, "box_capacity", 500.0)
     samples = list(plant.run(round(LONG[name] / kind.period)))
     assert abs(out_of_balance(plant.parameters, plant.states, u, plant.room)) < 0.01
     assert abs(samples[-1].output - plant.output) < 6 * kind.noise + kind.resolution
@@ -77,7 +90,11 @@ def test_a_controller_holds_a_plant_at_its_level(name: str) -> None:
     plant = AbroadPlant(kind, 5, (), closed=True)
     samples = list(plant.run(round(1800 * kind.second / kind.period)))
     outputs = np.array([s.output for s in samples[len(samples) // 3 :]])
-    assert kind.levels[0] - 4 * kind.kelvin < np.median(outputs) < kind.levels[1] + 4 * kind.kelvin
+    assert (
+        kind.levels[0] - 4 * kind.kelvin
+        < np.median(outputs)
+        < kind.levels[1] + 4 * kind.kelvin
+    )
     if kind.gains is not None:
         references = np.array([s.reference for s in samples[len(samples) // 3 :]])
         assert np.median(np.abs(outputs - references)) < 2 * kind.kelvin
@@ -123,7 +140,13 @@ def test_a_plant_that_has_nothing_special_is_what_its_file_says(name: str) -> No
     twin = model.parameters(**true_parameters)
     rows = np.full((600, 1), plant.room) if name == "incubator" else None
     inputs = np.array([sample.input for sample in samples])
-    run = simulate_driven(twin, inputs, states=begin(twin, truth[0]), period=kind.period, disturbances=rows)
+    run = simulate_driven(
+        twin,
+        inputs,
+        states=begin(twin, truth[0]),
+        period=kind.period,
+        disturbances=rows,
+    )
     # The file's tanks bend the square root near zero, which the true ones do not.
     allowed = 1.0 if name == "tanks" else 0.05
     assert np.max(np.abs(run.output - truth)) < allowed * kind.kelvin
@@ -145,7 +168,9 @@ def test_the_benchmark_prints_a_row_for_a_kind(
     monkeypatch.syspath_prepend(str(PROJECT))
     from benchmarks import abroad
 
-    monkeypatch.setattr(sys, "argv", ["abroad", "healthy", "1", "0.1", "--kind", "kit", "--monitor"])
+    monkeypatch.setattr(
+        sys, "argv", ["abroad", "healthy", "1", "0.1", "--kind", "kit", "--monitor"]
+    )
     abroad.main()
     assert re.search(r"^kit +0\.1 ", capsys.readouterr().out, re.MULTILINE)
     assert abroad.right_name("drive*0.62") == "drive-weak"
@@ -159,7 +184,17 @@ def test_the_benchmark_prints_a_row_for_each_fault(
     monkeypatch.syspath_prepend(str(PROJECT))
     from benchmarks import abroad
 
-    case = ["faults", "1", "--kind", "incubator", "--only", "frozen", "--only", "spike", "--monitor"]
+    case = [
+        "faults",
+        "1",
+        "--kind",
+        "incubator",
+        "--only",
+        "frozen",
+        "--only",
+        "spike",
+        "--monitor",
+    ]
     monkeypatch.setattr(sys, "argv", ["abroad", *case])
     abroad.main()
     rows = capsys.readouterr().out.splitlines()

@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
 
 from benchmarks.endings import KINDS, World, end_once, world
 
@@ -25,7 +27,9 @@ def endings_world(ros: None) -> Iterator[World]:  # noqa: ARG001
 
 
 @pytest.mark.parametrize("kind", ["controller", "sampler of Modbus", "alone, Modbus"])
-def test_a_process_ends_well_at_any_moment(kind: str, endings_world: World, tmp_path: Path) -> None:
+def test_a_process_ends_well_at_any_moment(
+    kind: str, endings_world: World, tmp_path: Path
+) -> None:
     rng = random.Random(kind)
     number = rng.choice([signal.SIGINT, signal.SIGTERM])
     assert not end_once(

@@ -28,7 +28,9 @@ def common(monkeypatch: pytest.MonkeyPatch) -> object:
 
 def run(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "benchmarks", *map(str, arguments)]
-    return subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, check=False, timeout=280)
+    return subprocess.run(
+        command, cwd=PROJECT, capture_output=True, text=True, check=False, timeout=280
+    )
 
 
 def test_replay_is_measured_and_written_down(tmp_path: Path) -> None:
@@ -36,8 +38,12 @@ def test_replay_is_measured_and_written_down(tmp_path: Path) -> None:
     assert completed.returncode == 0, completed.stderr
     report = json.loads((tmp_path / "out.json").read_text())
     assert {"processor", "load", "python", "numpy"} <= set(report["environment"])
-    cases = {row["case"]: row for row in report["rows"] if row["program"] == "twinmatch"}
-    assert all(row["benchmark"] == "replay" and row["seconds"] > 0 for row in cases.values())
+    cases = {
+        row["case"]: row for row in report["rows"] if row["program"] == "twinmatch"
+    }
+    assert all(
+        row["benchmark"] == "replay" and row["seconds"] > 0 for row in cases.values()
+    )
     assert "8 candidates × 4 orders × 2 outputs" in cases
     assert all(case in completed.stdout for case in cases)
 
@@ -67,7 +73,10 @@ def test_programs_take_turns_and_failures_stay_in_the_table(common) -> None:
     assert order[-8:] == 4 * ["a", "b"]
     assert [len(t.seconds) for t in timings.values()] == [4, 4, 0]
     assert timings["twinmatch"].result == "result"
-    rows = {row.program: row for row in common.rows_of("x", "case", timings, targets={"broken": 2.0})}
+    rows = {
+        row.program: row
+        for row in common.rows_of("x", "case", timings, targets={"broken": 2.0})
+    }
     assert rows["broken"].note == "RuntimeError: does not converge"
     assert math.isnan(rows["broken"].seconds)
     assert rows["broken"].ratio is None
@@ -81,7 +90,9 @@ def test_what_is_measured_is_computed_at_every_call(common) -> None:
     from twinmatch.comparing import GraphSymbol, nu_gap
     from twinmatch.comparing.nu_gap import _between
 
-    symbols = [GraphSymbol.of_transfer_functions([([0.1], [1.0, -a])], 1.0) for a in (0.5, 0.9)]
+    symbols = [
+        GraphSymbol.of_transfer_functions([([0.1], [1.0, -a])], 1.0) for a in (0.5, 0.9)
+    ]
 
     case = {"twinmatch": lambda: nu_gap(*symbols)}
     (timing,) = common.measure_side_by_side(case, repeats=2).values()
@@ -93,7 +104,9 @@ def test_what_is_measured_is_computed_at_every_call(common) -> None:
 
 def test_a_slow_program_is_not_asked_twice(common) -> None:
     calls = []
-    timings = common.measure_side_by_side({"slow": lambda: calls.append(1)}, repeats=5, patience=0.0)
+    timings = common.measure_side_by_side(
+        {"slow": lambda: calls.append(1)}, repeats=5, patience=0.0
+    )
     assert len(calls) == len(timings["slow"].seconds) == 1
 
 
@@ -107,7 +120,12 @@ def test_a_ratio_is_that_of_rounds_not_of_medians(common) -> None:
 
 @pytest.mark.parametrize(
     ("seconds", "ratio", "target", "met"),
-    [(1.0, None, 2.0, True), (3.0, None, 2.0, False), (3.0, 4.0, 5.0, False), (3.0, 6.0, 5.0, True)],
+    [
+        (1.0, None, 2.0, True),
+        (3.0, None, 2.0, False),
+        (3.0, 4.0, 5.0, False),
+        (3.0, 6.0, 5.0, True),
+    ],
 )
 def test_targets_are_most_seconds_for_us_and_least_ratios_for_peers(
     seconds: float, ratio: float | None, target: float, met: bool, common

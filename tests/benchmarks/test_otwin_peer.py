@@ -34,11 +34,15 @@ def test_without_otwin_it_refuses_in_one_sentence(
     monkeypatch.setattr(sys, "argv", ["benchmarks", "otwin_peer"])
     assert main() == 1
     refusal, verdict = capsys.readouterr().err.splitlines()
-    assert refusal.startswith("benchmarks: otwin_peer: otwin is not installed; run `make bench`")
+    assert refusal.startswith(
+        "benchmarks: otwin_peer: otwin is not installed; run `make bench`"
+    )
     assert verdict == "benchmarks: failed: otwin_peer"
 
 
-def test_a_recording_that_is_absent_is_skipped(otwin_peer: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_that_is_absent_is_skipped(
+    otwin_peer: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     absent = [
         replace(recording, path=Path("nowhere") / recording.path.name)
         for recording in otwin_peer.recordings()
@@ -46,8 +50,16 @@ def test_a_recording_that_is_absent_is_skipped(otwin_peer: Any, monkeypatch: pyt
     monkeypatch.setattr(otwin_peer, "recordings", lambda: absent)
     monkeypatch.setattr(otwin_peer, "peer", lambda _: otwin_peer)
     rows = otwin_peer.run(quick=False)
-    assert [row.case for row in rows] == ["rig 1", "rig 9", "one heater", "two heaters", "incubator"]
-    assert all(row.note.startswith("no nowhere") and np.isnan(row.seconds) for row in rows)
+    assert [row.case for row in rows] == [
+        "rig 1",
+        "rig 9",
+        "one heater",
+        "two heaters",
+        "incubator",
+    ]
+    assert all(
+        row.note.startswith("no nowhere") and np.isnan(row.seconds) for row in rows
+    )
 
 
 def heated_kit(noise: float) -> tuple[FloatArray, FloatArray]:
@@ -60,19 +72,34 @@ def heated_kit(noise: float) -> tuple[FloatArray, FloatArray]:
         for _ in range(50):
             conducted = 0.0075 * (heater - sensor)
             radiated = 0.9 * 5.67e-8 * 10e-4 * (heater**4 - room**4)
-            heater += 0.02 * (0.01 * u - 0.005 * (heater - room) - conducted - radiated) / 2.5
+            heater += (
+                0.02 * (0.01 * u - 0.005 * (heater - room) - conducted - radiated) / 2.5
+            )
             sensor += 0.02 * conducted / 0.1
-    return inputs, np.array(readings) + noise * np.random.default_rng(3).normal(size=inputs.size)
+    return inputs, np.array(readings) + noise * np.random.default_rng(3).normal(
+        size=inputs.size
+    )
 
 
 def test_otwin_forecasts_a_plant_that_is_its_network(otwin_peer: Any) -> None:
     """Known truth: fitted to two thirds of it, its forecast of the rest is within the sensor's noise."""
-    pytest.importorskip("otwin", reason="otwin is a peer that only `make bench` installs")
+    pytest.importorskip(
+        "otwin", reason="otwin is a peer that only `make bench` installs"
+    )
     inputs, readings = heated_kit(0.05)
-    window = Window(readings, readings, inputs, period=1.0, disturbances=np.zeros((600, 1)))
-    recording = next(candidate for candidate in otwin_peer.recordings() if candidate.title == "one heater")
+    window = Window(
+        readings, readings, inputs, period=1.0, disturbances=np.zeros((600, 1))
+    )
+    recording = next(
+        candidate
+        for candidate in otwin_peer.recordings()
+        if candidate.title == "one heater"
+    )
     forecast = otwin_peer.OtwinTwin(recording, window).forecast(399, 200)
-    assert np.sqrt(np.mean(np.square(forecast - readings[400:]))) < 2 * TCLab.outputs["temperature"].noise
+    assert (
+        np.sqrt(np.mean(np.square(forecast - readings[400:])))
+        < 2 * TCLab.outputs["temperature"].noise
+    )
     at_sample = [
         past_forecast
         for past_forecast in otwin_peer.forecasts_of(recording, window)

@@ -16,5 +16,10 @@ def test_a_room_is_forecast_hours_ahead() -> None:
     assert not StoredRoom.model().declared["free"].relative
     scored = forecasts(StoredRoom, recorded_room(1, 1, PERIOD).part(0, 360))
     errors = np.array(scored.errors)
-    assert errors.shape == np.shape(scored.arx) == np.shape(scored.held) == (3, len(HORIZONS))
+    assert (
+        errors.shape
+        == np.shape(scored.arx)
+        == np.shape(scored.held)
+        == (3, len(HORIZONS))
+    )
     assert np.sqrt(np.mean(errors**2, axis=0)).max() < 0.1

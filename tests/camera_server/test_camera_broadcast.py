@@ -88,7 +88,9 @@ FULL = 100
 """Messages that the kernel's buffers between two programs have no room for."""
 
 
-def test_a_client_that_does_not_read_holds_nobody_up(serve: Callable[..., Broadcast]) -> None:
+def test_a_client_that_does_not_read_holds_nobody_up(
+    serve: Callable[..., Broadcast],
+) -> None:
     broadcast = serve(patience=10 * PATIENCE)
     asleep = join(broadcast, buffer=4096)
     awake = join(broadcast)
@@ -188,7 +190,9 @@ def test_a_client_that_resets_its_connection_takes_nothing_from_others(
     polite.close()
 
 
-def test_publishing_to_nobody_and_after_the_end(serve: Callable[..., Broadcast]) -> None:
+def test_publishing_to_nobody_and_after_the_end(
+    serve: Callable[..., Broadcast],
+) -> None:
     broadcast = serve()
     for number in range(10_000):
         broadcast.publish(message(number, 8))
@@ -214,7 +218,9 @@ def pipe() -> Iterator[tuple[int, BinaryIO]]:
     os.close(read)
 
 
-def test_each_line_makes_an_image_and_a_repeated_one_repeats_it(pipe: tuple[int, BinaryIO]) -> None:
+def test_each_line_makes_an_image_and_a_repeated_one_repeats_it(
+    pipe: tuple[int, BinaryIO],
+) -> None:
     source = FollowedSource(pipe[0])
     leader = pipe[1]
     source.open()
@@ -268,7 +274,9 @@ def test_an_invalid_line_is_left_out(
     assert source.read(5.0) is not None
 
 
-def test_time_cannot_go_back(pipe: tuple[int, BinaryIO], caplog: pytest.LogCaptureFixture) -> None:
+def test_time_cannot_go_back(
+    pipe: tuple[int, BinaryIO], caplog: pytest.LogCaptureFixture
+) -> None:
     source = FollowedSource(pipe[0])
     leader = pipe[1]
     for line in (b"5 20 0\n", b"6 20 0\n"):
@@ -279,7 +287,11 @@ def test_time_cannot_go_back(pipe: tuple[int, BinaryIO], caplog: pytest.LogCaptu
     assert "is before that of the last image" in caplog.text
 
 
-def test_the_end_of_the_input_is_the_end_of_the_recording(pipe: tuple[int, BinaryIO]) -> None:
+def test_the_end_of_the_input_is_the_end_of_the_recording(
+    pipe: tuple[int, BinaryIO],
+) -> None:
     pipe[1].close()
-    with pytest.raises(EndOfRecording, match="the program that led the camera has ended"):
+    with pytest.raises(
+        EndOfRecording, match="the program that led the camera has ended"
+    ):
         FollowedSource(pipe[0]).read(5.0)

@@ -16,7 +16,12 @@ from twinmatch_camera.emulation import PLATE, PlateFeed
 from tests.support.camera import CameraProgram
 from tests.support.places import CAMERA_PATHS
 from tests.support.waiting import wait_for
-from twinmatch.links.thermal_client import ClientSettings, Received, ThermalClient, region
+from twinmatch.links.thermal_client import (
+    ClientSettings,
+    Received,
+    ThermalClient,
+    region,
+)
 
 SETTINGS = ClientSettings(first_wait=0.05, longest_wait=0.2)
 
@@ -33,12 +38,16 @@ def next_news(client: ThermalClient) -> Received:
     return news_after
 
 
-def test_a_plate_at_one_temperature_reads_that_temperature(camera: Callable[..., CameraProgram]) -> None:
+def test_a_plate_at_one_temperature_reads_that_temperature(
+    camera: Callable[..., CameraProgram],
+) -> None:
     server = camera("emulated", "--plate", "60", "--seed", "3")
     with ThermalClient("127.0.0.1", server.port, SETTINGS) as client:
         for _ in range(5):
             # Common noise 0.08 °C, gradient 0.02 of 37 °C at most.
-            assert region(next_news(client).frame, PLATE).mean == pytest.approx(60.0, abs=1.2)
+            assert region(next_news(client).frame, PLATE).mean == pytest.approx(
+                60.0, abs=1.2
+            )
         assert client.status.missed == 0
     assert server.process.end() == 0
     assert server.process.lines[-1].endswith("stopped")
@@ -49,8 +58,13 @@ def test_a_fed_plate_is_followed_and_silence_is_not_a_frame(
 ) -> None:
     path = tmp_path / "plate.sock"
     server = camera("emulated", "--feed", str(path))
-    server.process.said("no plate temperature on .*plate.sock; no frames until one comes")
-    with ThermalClient("127.0.0.1", server.port, SETTINGS) as client, PlateFeed(path) as feed:
+    server.process.said(
+        "no plate temperature on .*plate.sock; no frames until one comes"
+    )
+    with (
+        ThermalClient("127.0.0.1", server.port, SETTINGS) as client,
+        PlateFeed(path) as feed,
+    ):
         assert client.newest() is None
         for plate in (30.0, 80.0):
             assert feed.send(plate)
@@ -79,7 +93,9 @@ def test_a_killed_server_is_found_again(camera: Callable[..., CameraProgram]) ->
         assert client.status.errors["ThermalEndError"] == 1
 
 
-def test_by_default_it_serves_this_computer_alone(camera: Callable[..., CameraProgram]) -> None:
+def test_by_default_it_serves_this_computer_alone(
+    camera: Callable[..., CameraProgram],
+) -> None:
     with socket.socket() as probe:
         try:
             probe.bind(("127.0.0.1", 5580))
@@ -90,7 +106,9 @@ def test_by_default_it_serves_this_computer_alone(camera: Callable[..., CameraPr
     assert server.process.end(signal.SIGINT) == 0  # a clean stop too
 
 
-def test_a_port_that_is_in_use_is_one_line_and_exit_code_three(camera: Callable[..., CameraProgram]) -> None:
+def test_a_port_that_is_in_use_is_one_line_and_exit_code_three(
+    camera: Callable[..., CameraProgram],
+) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         address = f"127.0.0.1:{listening.getsockname()[1]}"
         server = camera("emulated", "--plate", "60", listen=address)
@@ -106,12 +124,24 @@ LISTEN = ["127.0.0.1:", ":5580", "127.0.0.1:99999", "127.0.0.1:http"]
     ("arguments", "code", "message"),
     [
         *(
-            (["emulated", "--plate", "60", "--listen", listen_option], 2, "give HOST or HOST:PORT")
+            (
+                ["emulated", "--plate", "60", "--listen", listen_option],
+                2,
+                "give HOST or HOST:PORT",
+            )
             for listen_option in LISTEN
         ),
         (["recorded", "/no/such/file"], 4, "recording /no/such/file: No such file"),
-        (["emulated", "--feed", "/nowhere/plate.sock"], 4, "give a path in a folder that can be written"),
-        (["emulated", "--plate", "40", "--flat-field-period", "1"], 2, "has no room for a warning"),
+        (
+            ["emulated", "--feed", "/nowhere/plate.sock"],
+            4,
+            "give a path in a folder that can be written",
+        ),
+        (
+            ["emulated", "--plate", "40", "--flat-field-period", "1"],
+            2,
+            "has no room for a warning",
+        ),
         (["lepton", "--spi", "one"], 2, "--spi one: give BUS.DEVICE"),
         (["lepton"], 4, "Lepton"),
         (["v4l2", "/dev/no-such-video"], 4, "/dev/no-such-video"),
@@ -127,7 +157,9 @@ def test_one_line_says_what_is_wrong(
     assert "\n" not in line
 
 
-@pytest.mark.parametrize("arguments", [[], ["emulated"], ["emulated", "--plate", "4", "--max-clients", "0"]])
+@pytest.mark.parametrize(
+    "arguments", [[], ["emulated"], ["emulated", "--plate", "4", "--max-clients", "0"]]
+)
 def test_missing_and_impossible_arguments_are_exit_code_two(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -147,7 +179,8 @@ def test_a_recording_made_from_the_stream_plays_back_and_ends(
         data = b""
         while len(data) < 30_000:
             data += connection.recv(65_536)
-    path.write_bytes(data[:30_000])  # three frames and a bit of the fourth, as if it was interrupted
+    # three frames and a bit of the fourth, as if it was interrupted
+    path.write_bytes(data[:30_000])
     player = camera("recorded", str(path))
     assert player.process.wait() == 0
     assert player.process.said(r"ends after (\d+) frames")[1] == "3"

@@ -39,8 +39,12 @@ def shot(counter: int, stamp: int = 0) -> Exposure:
 
 
 def recording(path: Path, counters: list[int], gap_ms: int = 5) -> Path:
-    frames = (shot(c, stamp=10**9 + i * gap_ms * 1_000_000) for i, c in enumerate(counters))
-    path.write_bytes(b"".join(encode_frame(f.numbered(i, BOOT)) for i, f in enumerate(frames)))
+    frames = (
+        shot(c, stamp=10**9 + i * gap_ms * 1_000_000) for i, c in enumerate(counters)
+    )
+    path.write_bytes(
+        b"".join(encode_frame(f.numbered(i, BOOT)) for i, f in enumerate(frames))
+    )
     return path
 
 
@@ -104,7 +108,10 @@ def test_nonsense_on_the_feed_is_reported_and_skipped(
     path = tmp_path / "plate.sock"
     source = EmulatedSource(feed=path, settings=LeptonSettings(rate=200.0))
     source.open()
-    with PlateFeed(path) as feed, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger:
+    with (
+        PlateFeed(path) as feed,
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger,
+    ):
         stranger.sendto(b"warm", str(path))
         assert source.read(0.1) is None
         assert "b'warm' is not a temperature" in caplog.text
@@ -132,7 +139,9 @@ class Scripted:
 
     name = "script"
 
-    def __init__(self, *steps: Callable[[], Exposure | None], opens: bool = True) -> None:
+    def __init__(
+        self, *steps: Callable[[], Exposure | None], opens: bool = True
+    ) -> None:
         self._steps = list(steps)
         self._opens = opens
         self.closed = threading.Event()
@@ -171,7 +180,12 @@ def raising(error: BaseException) -> Callable[[], Exposure]:
 
 def test_exposures_are_numbered_and_published_under_a_boot_id_of_this_run() -> None:
     sink = Sink()
-    source = Scripted(lambda: shot(1), lambda: None, lambda: shot(2), raising(EndOfRecording("it ends")))
+    source = Scripted(
+        lambda: shot(1),
+        lambda: None,
+        lambda: shot(2),
+        raising(EndOfRecording("it ends")),
+    )
     thread = CameraThread(source, sink)
     thread.start()
     thread.join(PATIENCE)
@@ -183,7 +197,9 @@ def test_exposures_are_numbered_and_published_under_a_boot_id_of_this_run() -> N
     sink.close()
 
 
-@pytest.mark.parametrize("error", [SourceError("unplugged"), ZeroDivisionError("a defect")])
+@pytest.mark.parametrize(
+    "error", [SourceError("unplugged"), ZeroDivisionError("a defect")]
+)
 def test_a_source_that_fails_ends_the_program(error: Exception) -> None:
     source = Scripted(lambda: shot(1), raising(error))
     with pytest.raises(type(error), match=str(error)):
@@ -217,7 +233,9 @@ def test_the_end_of_a_recording_is_reported_and_signal_handlers_are_put_back(
 class FakeCapture:
     """A video device that has these images, then none."""
 
-    def __init__(self, *images: np.ndarray | bytes, shape: tuple[int, int] = (60, 80)) -> None:
+    def __init__(
+        self, *images: np.ndarray | bytes, shape: tuple[int, int] = (60, 80)
+    ) -> None:
         self.shape = shape
         self.closed = 0
         self._images = list(images)
@@ -274,7 +292,9 @@ class Unplugged(FakeCapture):
         raise OSError(19, "No such device")
 
 
-def test_a_device_that_falls_silent_is_unplugged_or_was_never_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_that_falls_silent_is_unplugged_or_was_never_opened(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(v4l2_module, "_PATIENCE", -1.0)
     with pytest.raises(SourceError, match=r"no image for -1\.0 s"):
         opened(FakeCapture()).read(0.1)
@@ -329,11 +349,15 @@ class FakeLinuxpy(ModuleType):
                 linuxpy.done.append((width, height, code))
 
             def get_format(self) -> SimpleNamespace:
-                return SimpleNamespace(pixel_format=linuxpy.PixelFormat[chosen], width=4, height=2)
+                return SimpleNamespace(
+                    pixel_format=linuxpy.PixelFormat[chosen], width=4, height=2
+                )
 
             def open(self) -> None:
                 if not capable:
-                    raise linuxpy.V4L2Error("Device doesn't have VIDEO_CAPTURE capability")
+                    raise linuxpy.V4L2Error(
+                        "Device doesn't have VIDEO_CAPTURE capability"
+                    )
                 linuxpy.done.append("on")
 
             def raw_read(self) -> SimpleNamespace:
@@ -355,7 +379,9 @@ def with_linuxpy(monkeypatch: pytest.MonkeyPatch, linuxpy: FakeLinuxpy) -> V4l2S
     return V4l2Source("/dev/video9", size=(4, 2))
 
 
-def test_linuxpy_is_asked_to_open_stream_and_close_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_linuxpy_is_asked_to_open_stream_and_close_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     linuxpy = FakeLinuxpy()
     source = with_linuxpy(monkeypatch, linuxpy)
     source.open()
@@ -398,5 +424,7 @@ def test_linuxpy_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SourceError, match=r"/dev/no-such-video.*shows what there is"):
         V4l2Source("/dev/no-such-video").open()
     monkeypatch.setitem(sys.modules, "linuxpy.video.device", None)
-    with pytest.raises(SourceError, match=r"install with `pip install 'twinmatch-camera\[v4l2\]'`"):
+    with pytest.raises(
+        SourceError, match=r"install with `pip install 'twinmatch-camera\[v4l2\]'`"
+    ):
         V4l2Source("/dev/video9").open()

@@ -15,7 +15,13 @@ from twinmatch_camera.errors import SourceError
 from twinmatch_camera.sources.cci import SETTINGS, configure
 from twinmatch_camera.sources.lepton import LeptonSource
 from twinmatch_camera.sources.telemetry import exposure
-from twinmatch_camera.sources.vospi import PACKET_BYTES, RESYNC_SILENCE, Assembler, SyncLost, VospiFrame
+from twinmatch_camera.sources.vospi import (
+    PACKET_BYTES,
+    RESYNC_SILENCE,
+    Assembler,
+    SyncLost,
+    VospiFrame,
+)
 
 from twinmatch.links.thermal_frame import Exposure, FlatField, FrameFlags
 
@@ -35,12 +41,23 @@ def crc(data: bytes) -> int:
 def packet(number: int, words: Sequence[int], nibble: int = 0) -> bytes:
     payload = b"".join(int(word).to_bytes(2, "big") for word in words)
     check = crc(bytes([number >> 8, number & 255, 0, 0]) + payload)
-    return bytes([nibble << 4 | number >> 8, number & 255]) + check.to_bytes(2, "big") + payload
+    return (
+        bytes([nibble << 4 | number >> 8, number & 255])
+        + check.to_bytes(2, "big")
+        + payload
+    )
 
 
 def telemetry_rows(counter: int = 1, status: int = 3 << 4, **words: int) -> np.ndarray:
     rows = np.zeros((3, 80), np.uint16)
-    a = {1: 5000, 3: status & 0xFFFF, 4: status >> 16, 20: counter & 0xFFFF, 21: counter >> 16, 24: 30315}
+    a = {
+        1: 5000,
+        3: status & 0xFFFF,
+        4: status >> 16,
+        20: counter & 0xFFFF,
+        21: counter >> 16,
+        24: 30315,
+    }
     for word, value in {**a, 30: 1000}.items():
         rows[0, word] = value
     rows[2, 48:50] = 1
@@ -49,7 +66,9 @@ def telemetry_rows(counter: int = 1, status: int = 3 << 4, **words: int) -> np.n
     return rows
 
 
-def frame_packets(counter: int = 1, level: int = 30000, **telemetry: int) -> list[bytes]:
+def frame_packets(
+    counter: int = 1, level: int = 30000, **telemetry: int
+) -> list[bytes]:
     image = np.full((60, 80), level) + np.arange(60)[:, None] * 10
     rows = np.vstack([image, telemetry_rows(counter, **telemetry)])
     return [packet(number, row.tolist()) for number, row in enumerate(rows)]
@@ -79,9 +98,10 @@ def test_the_high_nibble_of_the_id_does_not_matter() -> None:
 
 
 def test_a_frame_that_begins_before_the_last_one_ended_replaces_it() -> None:
-    assert [f.image[0, 0] for f in feed(Assembler(), frame_packets()[:40] + frame_packets(level=31000))] == [
-        31000
-    ]
+    assert [
+        f.image[0, 0]
+        for f in feed(Assembler(), frame_packets()[:40] + frame_packets(level=31000))
+    ] == [31000]
 
 
 def test_a_missing_packet_is_lost_sync_and_the_next_frame_is_whole() -> None:
@@ -112,7 +132,9 @@ def test_any_flipped_bit_is_noticed_or_harmless(number: int, bit: int) -> None:
     # The high nibble of the ID is not covered and not used.
     assert bit // 8 == 0
     assert bit % 8 >= 4
-    assert frames[0].image.tolist() == feed(Assembler(), frame_packets())[0].image.tolist()
+    assert (
+        frames[0].image.tolist() == feed(Assembler(), frame_packets())[0].image.tolist()
+    )
 
 
 @given(st.binary(min_size=PACKET_BYTES, max_size=PACKET_BYTES))
@@ -135,7 +157,11 @@ def telemetry_of(**words: int) -> Exposure:
 
 def test_telemetry_words_become_the_fields_of_an_exposure() -> None:
     telemetry = telemetry_of(counter=70_000, status=1 << 20 | 3 << 4, a2=1, a31=0)
-    assert (telemetry.frame_counter, telemetry.sensor_temperature, telemetry.stamp) == (70_000, 30_315, 7)
+    assert (telemetry.frame_counter, telemetry.sensor_temperature, telemetry.stamp) == (
+        70_000,
+        30_315,
+        7,
+    )
     assert telemetry.flat_field is FlatField.COMPLETE
     assert telemetry.flat_field_age == 65_536 + 4000
     assert telemetry.flags is FrameFlags.OVERHEATING
@@ -143,7 +169,9 @@ def test_telemetry_words_become_the_fields_of_an_exposure() -> None:
 
 
 @pytest.mark.parametrize("state", list(FlatField))
-def test_each_flat_field_state_is_read_and_has_an_age_unless_it_is_never(state: FlatField) -> None:
+def test_each_flat_field_state_is_read_and_has_an_age_unless_it_is_never(
+    state: FlatField,
+) -> None:
     telemetry = telemetry_of(status=state << 4)
     assert telemetry.flat_field is state
     assert (telemetry.flat_field_age is None) == (state is FlatField.NEVER)
@@ -175,7 +203,9 @@ def test_counts_that_are_not_temperatures_are_flagged() -> None:
 class FakeCci:
     """Answers as a Lepton does: busy for a while, then done."""
 
-    def __init__(self, *, error: int = 0, boots: bool = True, answers: bool = True) -> None:
+    def __init__(
+        self, *, error: int = 0, boots: bool = True, answers: bool = True
+    ) -> None:
         self.set: list[tuple[int, list[int]]] = []
         self._data: list[int] = []
         self._busy = 2
@@ -230,7 +260,11 @@ def opened(spi: FakeSpi, sleeps: list[float] | None = None) -> LeptonSource:
 
 
 def test_each_new_image_is_passed_on_once() -> None:
-    packets = [p for counter in (1, 1, 1, 2, 2, 2, 3) for p in [*frame_packets(counter), DISCARD]]
+    packets = [
+        p
+        for counter in (1, 1, 1, 2, 2, 2, 3)
+        for p in [*frame_packets(counter), DISCARD]
+    ]
     source = opened(FakeSpi(packets))
     got = []
     while (passed_on := source.read(0.05)) is not None:
@@ -239,9 +273,13 @@ def test_each_new_image_is_passed_on_once() -> None:
     assert source.name == "Lepton on /dev/spidev0.0 and /dev/i2c-1"
 
 
-def test_a_picture_that_stands_still_is_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_that_stands_still_is_repeated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     ticks = itertools.count()
-    clock = SimpleNamespace(monotonic=lambda: next(ticks) * 0.001, monotonic_ns=lambda: 5)
+    clock = SimpleNamespace(
+        monotonic=lambda: next(ticks) * 0.001, monotonic_ns=lambda: 5
+    )
     monkeypatch.setattr(lepton_module, "time", clock)
     packets = [p for _ in range(26) for p in frame_packets(7, status=2 << 4)]
     source = opened(FakeSpi(packets))
@@ -329,6 +367,8 @@ def test_settings_are_written_and_awaited() -> None:
         (FakeCci(answers=False), r"no answer on I2C .*Remote I/O error"),
     ],
 )
-def test_a_camera_that_refuses_does_not_boot_or_does_not_answer(wire: FakeCci, message: str) -> None:
+def test_a_camera_that_refuses_does_not_boot_or_does_not_answer(
+    wire: FakeCci, message: str
+) -> None:
     with pytest.raises(SourceError, match=message):
         configure(wire, sleep=lambda _: None)

@@ -31,7 +31,9 @@ def is_trusted(scored: ForecastScore, *, before: bool = False) -> bool:
     return not scored.doubts([HORIZON], [HORIZON] if before else [])
 
 
-def test_a_twin_that_was_trusted_is_not_once_arx_is_better_by_the_upper_end_of_its_interval() -> None:
+def test_a_twin_that_was_trusted_is_not_once_arx_is_better_by_the_upper_end_of_its_interval() -> (
+    None
+):
     """An error of 1.95 times that of ARX, at least 1.3 times: 2.3 standard errors beyond a tenth."""
     assert not is_trusted(score(arx=(-0.95, -0.30)), before=True)
     assert is_trusted(score(arx=(-0.2, 0.05)), before=True)
@@ -40,8 +42,16 @@ def test_a_twin_that_was_trusted_is_not_once_arx_is_better_by_the_upper_end_of_i
 @pytest.mark.parametrize(
     ("persistence", "arx", "words"),
     [
-        ((-0.1, -0.02), (-0.5, -0.4), "a linear model without physics (ARX), with 1.50 times the error"),
-        ((-0.8, -0.6), (-0.5, -0.4), "saying that nothing changes, with 1.80 times the error"),
+        (
+            (-0.1, -0.02),
+            (-0.5, -0.4),
+            "a linear model without physics (ARX), with 1.50 times the error",
+        ),
+        (
+            (-0.8, -0.6),
+            (-0.5, -0.4),
+            "saying that nothing changes, with 1.80 times the error",
+        ),
     ],
 )
 def test_of_two_baselines_the_better_one_is_named(
@@ -52,7 +62,11 @@ def test_of_two_baselines_the_better_one_is_named(
 
 
 @given(
-    st.floats(-3.0, 0.99), st.floats(0.001, 1.0), st.floats(-3.0, 0.99), st.floats(0.001, 1.0), st.booleans()
+    st.floats(-3.0, 0.99),
+    st.floats(0.001, 1.0),
+    st.floats(-3.0, 0.99),
+    st.floats(0.001, 1.0),
+    st.booleans(),
 )
 def test_what_is_trusted_is_better_than_standing_still_and_about_as_good_as_arx(
     persistence: float, wider: float, arx: float, wide: float, before: bool

@@ -12,7 +12,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from twinmatch.comparing import DiscriminationError, GraphSymbol, nu_gap, stability_margin
+from twinmatch.comparing import (
+    DiscriminationError,
+    GraphSymbol,
+    nu_gap,
+    stability_margin,
+)
 
 # mpmath 1.4 wants the order of coefficients named, 1.3 does not know the name
 pytestmark = pytest.mark.filterwarnings("ignore:Descending:DeprecationWarning")
@@ -29,22 +34,36 @@ PUBLISHED = [
 
 
 @pytest.mark.parametrize(("plant", "controller", "published"), PUBLISHED)
-def test_margins_are_those_that_were_published(plant: Any, controller: Any, published: float) -> None:
+def test_margins_are_those_that_were_published(
+    plant: Any, controller: Any, published: float
+) -> None:
     assert stability_margin(plant, controller) == pytest.approx(published, abs=5e-5)
     spaces = control.ss(plant), control.ss(controller)
-    assert stability_margin(*spaces) == pytest.approx(stability_margin(plant, controller), rel=1e-9)
+    assert stability_margin(*spaces) == pytest.approx(
+        stability_margin(plant, controller), rel=1e-9
+    )
 
 
 def test_margins_are_those_of_closed_forms() -> None:
     gain = control.tf([2], [1])
     # of gains: (1 + kc)/√(1 + k²)√(1 + c²)
-    assert stability_margin(gain, control.tf([3], [1])) == pytest.approx(7 / math.sqrt(50), rel=1e-14)
+    assert stability_margin(gain, control.tf([3], [1])) == pytest.approx(
+        7 / math.sqrt(50), rel=1e-14
+    )
     # 1/s under unit gain: the same at all frequencies; b of 1/s is never better than that
-    assert stability_margin(1 / S, control.tf([1], [1])) == pytest.approx(math.sqrt(0.5), rel=1e-14)
+    assert stability_margin(1 / S, control.tf([1], [1])) == pytest.approx(
+        math.sqrt(0.5), rel=1e-14
+    )
     # 1/s under k: smallest at zero frequency or at infinity, k/√(1 + k²) or 1/√(1 + k²)
-    assert stability_margin(1 / S, control.tf([3], [1])) == pytest.approx(1 / math.sqrt(10), rel=1e-14)
-    assert stability_margin(1 / S, control.tf([0.2], [1])) == pytest.approx(0.2 / math.sqrt(1.04), rel=1e-14)
-    assert stability_margin(gain, control.tf([0], [1])) == pytest.approx(1 / math.sqrt(5), rel=1e-14)
+    assert stability_margin(1 / S, control.tf([3], [1])) == pytest.approx(
+        1 / math.sqrt(10), rel=1e-14
+    )
+    assert stability_margin(1 / S, control.tf([0.2], [1])) == pytest.approx(
+        0.2 / math.sqrt(1.04), rel=1e-14
+    )
+    assert stability_margin(gain, control.tf([0], [1])) == pytest.approx(
+        1 / math.sqrt(5), rel=1e-14
+    )
 
 
 def test_a_loop_that_is_not_stable_has_none() -> None:
@@ -53,9 +72,11 @@ def test_a_loop_that_is_not_stable_has_none() -> None:
     assert stability_margin(1 / (S + 1), control.tf([-2], [1])) == 0.0
     # cancelling an unstable pole does not make a loop stable
     assert stability_margin((S - 1) / (S + 2), (S + 2) / (S - 1)) == 0.0
-    assert stability_margin(control.tf([-1], [1]), control.tf([1], [1])) == 0.0  # not well posed
+    # not well posed
+    assert stability_margin(control.tf([-1], [1]), control.tf([1], [1])) == 0.0
     z = control.tf([1, 0], [1], 1.0)
-    assert stability_margin(1 / (z - 1), control.tf([2], [1], 1.0)) == 0.0  # a pole at −1
+    # a pole at −1
+    assert stability_margin(1 / (z - 1), control.tf([2], [1], 1.0)) == 0.0
     assert stability_margin(1 / (z - 1), control.tf([1.999], [1], 1.0)) > 0.0
 
 
@@ -64,10 +85,14 @@ def test_small_margins_keep_their_digits(room: float) -> None:
     """1/(s − 1) under 1 + ε: at zero frequency ε/√2√(1 + (1 + ε)²)."""
     gain = 1 + room
     expected = (gain - 1) / math.sqrt(2) / math.sqrt(1 + gain**2)
-    assert stability_margin(1 / (S - 1), control.tf([gain], [1])) == pytest.approx(expected, rel=1e-12)
+    assert stability_margin(1 / (S - 1), control.tf([gain], [1])) == pytest.approx(
+        expected, rel=1e-12
+    )
 
 
-def system(rng: np.random.Generator, order: int, outputs: int, discrete: bool) -> list[Any]:
+def system(
+    rng: np.random.Generator, order: int, outputs: int, discrete: bool
+) -> list[Any]:
     """Fractions over one denominator, proper, a quarter of the roots unstable."""
 
     def polynomial(degree: int) -> np.ndarray:
@@ -114,7 +139,9 @@ def by_brute_force(plant: list[Any], controller: list[Any], discrete: bool) -> A
     if not all(abs(r) < 1 if discrete else mp.re(r) < 0 for r in roots):
         return mp.mpf(0)
 
-    def margin(t: Any, exp: Any = mp.exp, polyval: Any = lambda p, x: mp.polyval(list(p), x)) -> Any:
+    def margin(
+        t: Any, exp: Any = mp.exp, polyval: Any = lambda p, x: mp.polyval(list(p), x)
+    ) -> Any:
         s = 1j * exp(t)
         x = (1 + s) / (1 - s) if discrete else s
         p = [polyval(n, x) / polyval(d, x) for n, d in plant]
@@ -150,12 +177,16 @@ def product(a: list[Any], b: list[Any]) -> list[Any]:
 
 @pytest.mark.parametrize("discrete", [False, True])
 @pytest.mark.parametrize("order", [1, 2, 3, 5])
-def test_margins_of_random_loops_are_exact_to_twelve_digits(order: int, discrete: bool) -> None:
+def test_margins_of_random_loops_are_exact_to_twelve_digits(
+    order: int, discrete: bool
+) -> None:
     rng = np.random.default_rng(10 * order + discrete)
     stable = unstable = 0
     while stable < 2 or unstable < 2:
         outputs = 1 + order % 2
-        plant, controller = (system(rng, n, outputs, discrete) for n in (order, max(0, order - 1)))
+        plant, controller = (
+            system(rng, n, outputs, discrete) for n in (order, max(0, order - 1))
+        )
         margin = stability_margin(symbol(plant, discrete), symbol(controller, discrete))
         if (margin > 0 and stable >= 2) or (margin == 0 and unstable >= 2):
             continue
@@ -184,12 +215,16 @@ def test_a_margin_is_the_inverse_of_the_closed_loops_norm(seed: int) -> None:
     loop = control.ss(a, b, rows, np.array([[0.0, 0.0], [1.0, -c.D.item()]]))
     margin = stability_margin(p, c)
     if np.all(np.linalg.eigvals(a).real < 0):
-        assert margin == pytest.approx(1 / control.system_norm(loop, "inf", tol=1e-10), rel=1e-8)
+        assert margin == pytest.approx(
+            1 / control.system_norm(loop, "inf", tol=1e-10), rel=1e-8
+        )
     else:
         assert margin == 0.0
 
 
-def stabilised(seed: int, discrete: bool) -> tuple[GraphSymbol, GraphSymbol, np.random.Generator]:
+def stabilised(
+    seed: int, discrete: bool
+) -> tuple[GraphSymbol, GraphSymbol, np.random.Generator]:
     rng = np.random.default_rng(seed)
     plant, controller = (symbol(system(rng, n, 1, discrete), discrete) for n in (3, 2))
     assume(stability_margin(plant, controller) > 0)
@@ -205,7 +240,9 @@ def test_plant_and_controller_may_change_places(seed: int, discrete: bool) -> No
 
 
 @given(seeds, st.booleans(), st.floats(1e-4, 1.0))
-def test_the_controller_holds_for_every_plant_within_the_gap(seed: int, discrete: bool, size: float) -> None:
+def test_the_controller_holds_for_every_plant_within_the_gap(
+    seed: int, discrete: bool, size: float
+) -> None:
     """arcsin b(P2, C) ≥ arcsin b(P1, C) − arcsin δν(P1, P2) (Vinnicombe 1993); so δν < b leaves it stable."""
     rng = np.random.default_rng(seed)
     fractions = system(rng, 3, 1, discrete)
@@ -215,7 +252,10 @@ def test_the_controller_holds_for_every_plant_within_the_gap(seed: int, discrete
     assume(margin > 0)
     second = symbol(
         [
-            (n * (1 + size * rng.normal(size=n.size)), d * (1 + size * rng.normal(size=d.size)))
+            (
+                n * (1 + size * rng.normal(size=n.size)),
+                d * (1 + size * rng.normal(size=d.size)),
+            )
             for n, d in fractions
         ],
         discrete,
@@ -234,7 +274,12 @@ def test_the_bound_is_tight() -> None:
         # 1/s and 1/s − g are farthest apart at infinity, where the loop is lost when 3g = 1
         g = near / 3
         neighbour = (1 - g * S) / S
-        gap = nu_gap(*(GraphSymbol.of_polynomials([1.0, 0.0], n, 0.0) for n in ([[1.0]], [[-g, 1.0]])))
+        gap = nu_gap(
+            *(
+                GraphSymbol.of_polynomials([1.0, 0.0], n, 0.0)
+                for n in ([[1.0]], [[-g, 1.0]])
+            )
+        )
         assert (gap < margin) == holds
         assert (stability_margin(neighbour, control.tf([3], [1])) > 0) == holds
 
@@ -252,7 +297,9 @@ def test_a_controller_of_two_inputs_has_the_margin_of_its_closed_form() -> None:
 
 def test_what_does_not_fit_is_refused() -> None:
     z = control.tf([1, 0], [1], 0.1)
-    with pytest.raises(DiscriminationError, match="plant has 1 outputs, the controller 2 inputs"):
+    with pytest.raises(
+        DiscriminationError, match="plant has 1 outputs, the controller 2 inputs"
+    ):
         stability_margin(1 / (S + 1), control.tf([[[1], [1]]], [[[1], [1]]]))
     with pytest.raises(DiscriminationError, match=r"period 0\.0, the other 0\.1"):
         stability_margin(1 / (S + 1), 1 / (z - 0.5))

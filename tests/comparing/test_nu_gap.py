@@ -55,15 +55,25 @@ def chordal_distance(p1: object, p2: object, frequencies: FloatArray) -> FloatAr
     g1 = graph_symbol(p1)
     g2 = graph_symbol(p2)
     omega = np.asarray(frequencies, dtype=np.float64)
-    minors = tuple(map(chordal.with_powers_of_j, chordal.minors(*g1.coefficients, *g2.coefficients)))
+    minors = tuple(
+        map(
+            chordal.with_powers_of_j, chordal.minors(*g1.coefficients, *g2.coefficients)
+        )
+    )
     half = float(g1.period or 0.0) / 2
     with np.errstate(divide="ignore"):
-        places = np.log(np.tan(np.minimum(omega * half, math.pi / 2)) if half else omega)
-    return np.vectorize(lambda t: chordal.exact_distance(g1.signed, g2.signed, minors, t))(places)
+        places = np.log(
+            np.tan(np.minimum(omega * half, math.pi / 2)) if half else omega
+        )
+    return np.vectorize(
+        lambda t: chordal.exact_distance(g1.signed, g2.signed, minors, t)
+    )(places)
 
 
 @pytest.mark.parametrize(("p1", "p2", "published", "digit"), PUBLISHED)
-def test_gaps_are_those_that_were_published(p1: object, p2: object, published: float, digit: float) -> None:
+def test_gaps_are_those_that_were_published(
+    p1: object, p2: object, published: float, digit: float
+) -> None:
     assert nu_gap(p1, p2) == pytest.approx(published, abs=digit)
     assert nu_gap(control.ss(p1), control.ss(p2)) == pytest.approx(published, abs=digit)
     tustin = [control.sample_system(p, 0.5, method="bilinear") for p in (p1, p2)]
@@ -73,13 +83,17 @@ def test_gaps_are_those_that_were_published(p1: object, p2: object, published: f
 def test_gaps_are_those_of_closed_forms() -> None:
     """First-order pairs whose maximum can be found by hand."""
     # static gains: |a − b| / √(1 + a²) √(1 + b²)
-    assert nu_gap(control.tf([2], [1]), control.tf([3], [1])) == pytest.approx(1 / math.sqrt(50), rel=1e-15)
+    assert nu_gap(control.tf([2], [1]), control.tf([3], [1])) == pytest.approx(
+        1 / math.sqrt(50), rel=1e-15
+    )
     # 1/s and a/s: at Ω² = a the distance is (a − 1)/(a + 1)
     assert nu_gap(1 / S, 1.1 / S) == pytest.approx(0.1 / 2.1, rel=1e-14)
     # 1/s and 1/s²: largest where Ω⁴ = 1: 1/√2
     assert nu_gap(1 / S, 1 / S**2) == pytest.approx(math.sqrt(0.5), rel=1e-14)
     # a lag against its own gain: antipodal nowhere, largest at infinity
-    assert nu_gap(2 / (S + 1), control.tf([2], [1])) == pytest.approx(2 / math.sqrt(5), rel=1e-14)
+    assert nu_gap(2 / (S + 1), control.tf([2], [1])) == pytest.approx(
+        2 / math.sqrt(5), rel=1e-14
+    )
 
 
 @pytest.mark.parametrize("damping", [1e-3, 1e-6, 1e-9])
@@ -88,7 +102,9 @@ def test_a_resonance_of_vanishing_width_is_not_missed(damping: float) -> None:
     resonant = [damping * p for p in (1.0, 1.0)]
     pole = np.array([1.0, 2 * damping, 1.0])
     g1 = GraphSymbol.of_polynomials([1.0, 1.0], [[1.0]], 0.0)
-    g2 = GraphSymbol.of_polynomials(np.polymul([1.0, 1.0], pole), [np.polyadd(pole, resonant)], 0.0)
+    g2 = GraphSymbol.of_polynomials(
+        np.polymul([1.0, 1.0], pole), [np.polyadd(pole, resonant)], 0.0
+    )
     assert nu_gap(g1, g2) == pytest.approx(0.27472, abs=3e-5)
 
 
@@ -113,7 +129,9 @@ def closed_loop(rng: np.random.Generator, order: int) -> GraphSymbol:
                 poles.append(rng.uniform(0.2, 0.99))
         f = np.poly(poles).real
         b = np.poly(rng.uniform(0, 0.995, order - 1)).real
-        b *= (f.sum() if gain == 1 else gain * rng.uniform(0.5, 1)) / (b.sum() if gain == 1 else 1)
+        b *= (f.sum() if gain == 1 else gain * rng.uniform(0.5, 1)) / (
+            b.sum() if gain == 1 else 1
+        )
         fractions.append((np.concatenate([[0.0], b]), f))
     return GraphSymbol.of_fractions(fractions, 1.0)
 
@@ -133,17 +151,25 @@ def test_the_gap_of_closed_loop_models_bounds_a_dense_grid(order: int) -> None:
     assert reached >= 3
 
 
-def model(rng: np.random.Generator, outputs: int = 2, order: int = 3, period: float = 0.0) -> GraphSymbol:
+def model(
+    rng: np.random.Generator, outputs: int = 2, order: int = 3, period: float = 0.0
+) -> GraphSymbol:
     """Poles anywhere, some unstable."""
     fractions = []
     for _ in range(outputs):
-        roots = rng.normal(-0.5, 1.0, order) if period == 0 else rng.uniform(-1.1, 1.1, order)
+        roots = (
+            rng.normal(-0.5, 1.0, order)
+            if period == 0
+            else rng.uniform(-1.1, 1.1, order)
+        )
         fractions.append((rng.normal(size=order), np.poly(roots)))
     return GraphSymbol.of_transfer_functions(fractions, period)
 
 
 @given(seeds, st.integers(1, 3), st.integers(1, 4), st.sampled_from([0.0, 1.0]))
-def test_the_gap_is_a_distance(seed: int, outputs: int, order: int, period: float) -> None:
+def test_the_gap_is_a_distance(
+    seed: int, outputs: int, order: int, period: float
+) -> None:
     rng = np.random.default_rng(seed)
     a, b, c = (model(rng, outputs, order, period) for _ in range(3))
     ab = nu_gap(a, b)
@@ -156,26 +182,40 @@ def test_the_gap_is_a_distance(seed: int, outputs: int, order: int, period: floa
 
 
 @given(seeds, st.sampled_from([0.0, 0.5]))
-def test_it_bounds_the_chordal_distance_at_every_frequency(seed: int, period: float) -> None:
+def test_it_bounds_the_chordal_distance_at_every_frequency(
+    seed: int, period: float
+) -> None:
     rng = np.random.default_rng(seed)
     a = model(rng, period=period)
     b = model(rng, period=period)
-    frequencies = np.exp(rng.normal(0, 3, 20)) if period == 0 else rng.uniform(0, math.pi / period, 20)
+    frequencies = (
+        np.exp(rng.normal(0, 3, 20))
+        if period == 0
+        else rng.uniform(0, math.pi / period, 20)
+    )
     assert np.all(chordal_distance(a, b, frequencies) <= nu_gap(a, b) + 1e-14)
 
 
 @given(seeds, st.integers(1, 3), st.floats(0.1, 10))
-def test_it_does_not_change_under_the_bilinear_map(seed: int, order: int, rate: float) -> None:
+def test_it_does_not_change_under_the_bilinear_map(
+    seed: int, order: int, rate: float
+) -> None:
     rng = np.random.default_rng(seed)
     continuous = []
     discrete = []
     for _ in range(2):
-        polynomials = [np.poly(rng.normal(-0.5, 1.0, order)), rng.normal(size=order + 1)]
-        continuous.append(GraphSymbol.of_polynomials(polynomials[0], polynomials[1:], 0.0))
+        polynomials = [
+            np.poly(rng.normal(-0.5, 1.0, order)),
+            rng.normal(size=order + 1),
+        ]
+        continuous.append(
+            GraphSymbol.of_polynomials(polynomials[0], polynomials[1:], 0.0)
+        )
         mapped = []
         for p in polynomials:  # s = rate·(z − 1)/(z + 1)
             terms = [
-                c * rate ** (order - k) * np.poly([1.0] * (order - k) + [-1.0] * k) for k, c in enumerate(p)
+                c * rate ** (order - k) * np.poly([1.0] * (order - k) + [-1.0] * k)
+                for k, c in enumerate(p)
             ]
             mapped.append(np.sum(terms, axis=0))
         discrete.append(GraphSymbol.of_polynomials(mapped[0], mapped[1:], 1.0))
@@ -215,7 +255,9 @@ def test_the_chordal_distance_is_that_of_its_formula() -> None:
     assert np.allclose(chordal_distance(p1, p2, w), expected, rtol=1e-14, atol=0)
     z = control.tf([1, 0], [1], 0.1)
     d = chordal_distance(0.5 / (z - 0.5), 0.25 / (z - 0.5), [0.0, math.pi / 0.1])
-    assert d == pytest.approx([0.5 / math.sqrt(2 * 1.25), (1 / 6) / math.sqrt((1 + 1 / 9) * (1 + 1 / 36))])
+    assert d == pytest.approx(
+        [0.5 / math.sqrt(2 * 1.25), (1 / 6) / math.sqrt((1 + 1 / 9) * (1 + 1 / 36))]
+    )
 
 
 def test_models_of_different_kinds_are_refused() -> None:
@@ -224,7 +266,9 @@ def test_models_of_different_kinds_are_refused() -> None:
         nu_gap(1 / (S + 1), 1 / (z - 0.5))
     with pytest.raises(DiscriminationError, match=r"period 0\.1, the other 0\.2"):
         nu_gap(1 / (z - 0.5), control.tf([1], [1, -0.5], dt=0.2))
-    with pytest.raises(DiscriminationError, match="one model has 1 outputs, the other 2"):
+    with pytest.raises(
+        DiscriminationError, match="one model has 1 outputs, the other 2"
+    ):
         nu_gap(1 / (S + 1), control.tf([[[1]], [[1]]], [[[1, 1]], [[1, 2]]]))
 
 
@@ -246,7 +290,9 @@ def test_open_time_bases_agree_with_any_that_fits() -> None:
 rationals = st.fractions(Fraction(-5), Fraction(5), max_denominator=1000)
 
 
-def of_roots(real: list[Fraction], pairs: list[tuple[Fraction, Fraction]]) -> Polynomial:
+def of_roots(
+    real: list[Fraction], pairs: list[tuple[Fraction, Fraction]]
+) -> Polynomial:
     """The polynomial with these real roots and pairs a ± jb, in whole numbers, the constant first."""
     product: Polynomial = [1]
     for root in real:
@@ -258,7 +304,11 @@ def of_roots(real: list[Fraction], pairs: list[tuple[Fraction, Fraction]]) -> Po
     return product
 
 
-@given(st.lists(rationals, max_size=5), st.lists(st.tuples(rationals, rationals), max_size=4), st.booleans())
+@given(
+    st.lists(rationals, max_size=5),
+    st.lists(st.tuples(rationals, rationals), max_size=4),
+    st.booleans(),
+)
 def test_it_agrees_with_the_roots(
     real: list[Fraction], pairs: list[tuple[Fraction, Fraction]], negative: bool
 ) -> None:
@@ -275,7 +325,8 @@ def test_a_root_that_no_float_separates_from_the_axis_is_reported() -> None:
 
 
 @pytest.mark.parametrize(
-    ("polynomial", "stable"), [([7], True), ([-7], True), ([0, 1], False), ([1, 1, 0], False)]
+    ("polynomial", "stable"),
+    [([7], True), ([-7], True), ([0, 1], False), ([1, 1, 0], False)],
 )
 def test_constants_are_stable_and_roots_at_zero_or_infinity_are_not(
     polynomial: Polynomial, stable: bool
@@ -306,7 +357,10 @@ def test_a_family_of_integrators_has_distances_with_intervals() -> None:
     quick = Servo.model("free").parameters(k=50.0, t=0.12)
     slow = quick.replace(t=0.2)
     covariance = np.diag([0.1, 1e-3]) ** 2
-    twins = [Candidate("", 0.0, servo, None, ("k", "t"), covariance) for servo in (quick, slow)]
+    twins = [
+        Candidate("", 0.0, servo, None, ("k", "t"), covariance)
+        for servo in (quick, slow)
+    ]
     gaps = plant_gaps([quick, slow], POINTS, TERMS)
     uncertainty = family_uncertainty(twins, gaps, TERMS, seed=1)
     low = uncertainty.nu_gap_low[0, 1]
@@ -329,17 +383,25 @@ def test_a_difference_of_two_ln_k_makes_k_to_one() -> None:
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=8), st.floats(-1e3, 1e3))
-def test_weights_are_shares_that_only_differences_decide(values: list[float], shift: float) -> None:
+def test_weights_are_shares_that_only_differences_decide(
+    values: list[float], shift: float
+) -> None:
     akaike = akaike_weights(values)
     assert akaike.weights.sum() == pytest.approx(1.0)
     assert akaike.differences.min() == 0.0
     assert akaike.weights[np.argmin(values)] == akaike.weights.max()
-    np.testing.assert_allclose(akaike_weights(np.array(values) + shift).weights, akaike.weights, atol=1e-9)
+    np.testing.assert_allclose(
+        akaike_weights(np.array(values) + shift).weights, akaike.weights, atol=1e-9
+    )
 
 
 def test_a_perfect_prediction_takes_all() -> None:
     assert akaike_weights([-math.inf, 3.0]).weights.tolist() == [1.0, 0.0]
-    assert akaike_weights([-math.inf, 3.0, -math.inf]).weights.tolist() == [0.5, 0.0, 0.5]
+    assert akaike_weights([-math.inf, 3.0, -math.inf]).weights.tolist() == [
+        0.5,
+        0.0,
+        0.5,
+    ]
 
 
 @pytest.mark.parametrize("values", [[], [math.nan], [1.0, math.inf], [[1.0]]])
@@ -363,5 +425,7 @@ def test_orders_are_weighed_by_the_aic_of_both_outputs() -> None:
         totals.append(len(window) * s.total.naic)
         assert model.order == s.order
     best = min(totals)
-    assert [s.aic_difference for s in scores] == pytest.approx([t - best for t in totals])
+    assert [s.aic_difference for s in scores] == pytest.approx(
+        [t - best for t in totals]
+    )
     assert sum(s.weight for s in scores) == pytest.approx(1.0)

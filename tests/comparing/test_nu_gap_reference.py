@@ -40,11 +40,17 @@ def in_floats(p1: Fractions, p2: Fractions, discrete: bool) -> np.ndarray:
     """The distance at the nodes, without taking a difference of nearly equal numbers."""
     s = 1j * np.exp(NODES)
     x = (1 + s) / (1 - s) if discrete else s
-    a = np.array([np.ones_like(x), *(np.polyval(n, x) / np.polyval(d, x) for n, d in p1)])
-    b = np.array([np.ones_like(x), *(np.polyval(n, x) / np.polyval(d, x) for n, d in p2)])
+    a = np.array(
+        [np.ones_like(x), *(np.polyval(n, x) / np.polyval(d, x) for n, d in p1)]
+    )
+    b = np.array(
+        [np.ones_like(x), *(np.polyval(n, x) / np.polyval(d, x) for n, d in p2)]
+    )
     minors = [a[j] * b[k] - a[k] * b[j] for j, k in combinations(range(len(a)), 2)]
     return np.sqrt(
-        np.sum(np.abs(minors) ** 2, axis=0) / np.sum(abs(a) ** 2, axis=0) / np.sum(abs(b) ** 2, axis=0)
+        np.sum(np.abs(minors) ** 2, axis=0)
+        / np.sum(abs(a) ** 2, axis=0)
+        / np.sum(abs(b) ** 2, axis=0)
     )
 
 
@@ -59,7 +65,9 @@ def largest(p1: Fractions, p2: Fractions, discrete: bool) -> object:
         for _ in range(32):
             inner_low = high - golden * (high - low)
             inner_high = low + golden * (high - low)
-            if distance(p1, p2, inner_low, discrete) > distance(p1, p2, inner_high, discrete):
+            if distance(p1, p2, inner_low, discrete) > distance(
+                p1, p2, inner_high, discrete
+            ):
                 high = inner_high
             else:
                 low = inner_low
@@ -104,12 +112,16 @@ def winds(p1: Fractions, p2: Fractions, discrete: bool) -> bool:
     g2 = column(p2)
     mirrored = [e[::-1] if discrete else of_minus_s(e) for e in g2]
     terms = [product(a, b) for a, b in zip(g1, mirrored, strict=True)]
-    roots = mp.polyroots([mp.fsum(cs) for cs in zip(*terms, strict=True)], maxsteps=500, extraprec=400)
+    roots = mp.polyroots(
+        [mp.fsum(cs) for cs in zip(*terms, strict=True)], maxsteps=500, extraprec=400
+    )
     stable = sum(bool(abs(r) < 1) if discrete else bool(mp.re(r) < 0) for r in roots)
     return stable != len(g1[0]) - 1
 
 
-def random_model(rng: np.random.Generator, order: int, discrete: bool, outputs: int) -> Fractions:
+def random_model(
+    rng: np.random.Generator, order: int, discrete: bool, outputs: int
+) -> Fractions:
     """Damping down to 0.1, corner frequencies within two decades, a third of the models unstable."""
 
     def polynomial(degree: int, stable: bool) -> np.ndarray:
@@ -143,7 +155,9 @@ def nudged(rng: np.random.Generator, p: Fractions, size: float) -> Fractions:
     return [
         (
             n * (1 + size * rng.standard_normal(n.size)),
-            shared if share_denominator else d * (1 + size * rng.standard_normal(d.size)),
+            shared
+            if share_denominator
+            else d * (1 + size * rng.standard_normal(d.size)),
         )
         for n, d in p
     ]
@@ -162,11 +176,22 @@ def nudged(rng: np.random.Generator, p: Fractions, size: float) -> Fractions:
 def test_gaps_of_random_models_are_exact_to_twelve_digits(
     order: int, nudge: float | None, discrete: bool
 ) -> None:
-    rng = np.random.default_rng(100 * order + 10 * discrete + (0 if nudge is None else -int(np.log10(nudge))))
+    rng = np.random.default_rng(
+        100 * order + 10 * discrete + (0 if nudge is None else -int(np.log10(nudge)))
+    )
     outputs = 1 + order % 2
     p1 = random_model(rng, order, discrete, outputs)
-    p2 = random_model(rng, order, discrete, outputs) if nudge is None else nudged(rng, p1, nudge)
-    gap = nu_gap(*(GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0) for p in (p1, p2)))
+    p2 = (
+        random_model(rng, order, discrete, outputs)
+        if nudge is None
+        else nudged(rng, p1, nudge)
+    )
+    gap = nu_gap(
+        *(
+            GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0)
+            for p in (p1, p2)
+        )
+    )
     with mp.workdps(60):
         expected = mp.mpf(1) if winds(p1, p2, discrete) else largest(p1, p2, discrete)
         assert abs(gap - expected) <= 1e-12 * expected
@@ -178,7 +203,10 @@ def test_the_winding_condition_is_decided_as_the_roots_decide_it() -> None:
     failures = 0
     for _ in range(40):
         order = int(rng.integers(1, 3))
-        p1, p2 = ([(rng.normal(size=order), np.poly(rng.normal(0, 1, order)))] for _ in range(2))
+        p1, p2 = (
+            [(rng.normal(size=order), np.poly(rng.normal(0, 1, order)))]
+            for _ in range(2)
+        )
         g1, g2 = (GraphSymbol.of_transfer_functions(p, 0.0) for p in (p1, p2))
         with mp.workdps(40):
             expected = winds(p1, p2, False)
@@ -194,30 +222,47 @@ def on_the_boundary(rng: np.random.Generator, discrete: bool, order: int) -> Fra
         if k == 0:
             edge = np.array([1.0, -1.0]) if discrete else np.array([1.0, 0.0])
         else:  # binary fractions: the circle is hit exactly
-            edge = np.array([1.0, -1.25, 1.0]) if discrete else np.array([1.0, 0.0, 0.5625])
-        damped = np.atleast_1d(np.poly(rng.uniform(0.2, 0.9, order) - (0 if discrete else 1)))
-        fractions.append((rng.normal(size=edge.size + order - 1), np.polymul(edge, damped)))
+            edge = (
+                np.array([1.0, -1.25, 1.0])
+                if discrete
+                else np.array([1.0, 0.0, 0.5625])
+            )
+        damped = np.atleast_1d(
+            np.poly(rng.uniform(0.2, 0.9, order) - (0 if discrete else 1))
+        )
+        fractions.append(
+            (rng.normal(size=edge.size + order - 1), np.polymul(edge, damped))
+        )
     return fractions
 
 
 @pytest.mark.parametrize("discrete", [False, True])
 @pytest.mark.parametrize("nudge", [None, 1e-8])
 @pytest.mark.parametrize("order", [1, 3])
-def test_poles_on_the_boundary_cost_no_digit(order: int, nudge: float | None, discrete: bool) -> None:
+def test_poles_on_the_boundary_cost_no_digit(
+    order: int, nudge: float | None, discrete: bool
+) -> None:
     rng = np.random.default_rng(1000 + order)
     p1 = on_the_boundary(rng, discrete, order)
     if nudge is None:
         p2 = on_the_boundary(rng, discrete, order)
     else:  # only the numerators: both keep their poles on the boundary
         p2 = [(n * (1 + nudge * rng.standard_normal(n.size)), d) for n, d in p1]
-    gap = nu_gap(*(GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0) for p in (p1, p2)))
+    gap = nu_gap(
+        *(
+            GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0)
+            for p in (p1, p2)
+        )
+    )
     with mp.workdps(60):
         expected = mp.mpf(1) if winds(p1, p2, discrete) else largest(p1, p2, discrete)
         assert abs(gap - expected) <= 1e-12 * expected
     assert (gap < 1e-6) == (nudge is not None)
 
 
-def balanced(rng: np.random.Generator, order: int, discrete: bool, outputs: int) -> Fractions:
+def balanced(
+    rng: np.random.Generator, order: int, discrete: bool, outputs: int
+) -> Fractions:
     """Small gain, one denominator, every root as likely unstable as stable."""
     s = rng.uniform(0.1, 2.0, order) * rng.choice([-1, 1], order) + 0j
     if order > 1:
@@ -229,13 +274,18 @@ def balanced(rng: np.random.Generator, order: int, discrete: bool, outputs: int)
 
 @pytest.mark.parametrize("discrete", [False, True])
 @pytest.mark.parametrize("outputs", [1, 2])
-def test_every_failing_of_the_winding_condition_is_found(outputs: int, discrete: bool) -> None:
+def test_every_failing_of_the_winding_condition_is_found(
+    outputs: int, discrete: bool
+) -> None:
     """With small gains distances stay below 1 but near a pole, so that mostly the winding makes a 1."""
     rng = np.random.default_rng(7 * outputs + discrete)
     failures = 0
     for k in range(16):
         p1, p2 = (balanced(rng, 1 + k % 4, discrete, outputs) for _ in range(2))
-        g1, g2 = (GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0) for p in (p1, p2))
+        g1, g2 = (
+            GraphSymbol.of_transfer_functions(p, 1.0 if discrete else 0.0)
+            for p in (p1, p2)
+        )
         with mp.workdps(30):
             expected = winds(p1, p2, discrete)
         assert (nu_gap(g1, g2) == 1.0) == expected

@@ -29,7 +29,12 @@ from twinmatch.comparing import (
 )
 from twinmatch.comparing.code_length import InformationGain
 from twinmatch.comparing.margin import Scales, loop_plant
-from twinmatch.comparing.plant_gap import ANGLES, linearised_in_loop, response_slopes, symbol_in_loop
+from twinmatch.comparing.plant_gap import (
+    ANGLES,
+    linearised_in_loop,
+    response_slopes,
+    symbol_in_loop,
+)
 from twinmatch.dynamics import (
     Parameters,
     PidGains,
@@ -50,7 +55,12 @@ GAINS = law_of(Peltier, 1.0)
 TERMS = LoopConditions(GAINS, spans_of(Peltier))
 POINTS = (30.0, 50.0, 70.0, 90.0)
 ONE = MODEL.parameters(seebeck=0.06, conductance=0.6, heat_capacity=28.0)
-PLATE = {"seebeck": 0.06, "conductance": 0.6, "heat_capacity": 28.0, "ambient": ONE["ambient"]}
+PLATE = {
+    "seebeck": 0.06,
+    "conductance": 0.6,
+    "heat_capacity": 28.0,
+    "ambient": ONE["ambient"],
+}
 OTHER = MODEL.parameters(seebeck=0.075, conductance=0.4, heat_capacity=24.0)
 
 
@@ -77,7 +87,9 @@ def brute_force(first: Parameters, second: Parameters, point: float) -> float:
     scale = 255.0 / 35.0
     z = np.exp(1j * np.concatenate([[0.0], np.geomspace(1e-5, np.pi, 20_000)]))
     p, q = (scale * tick_response(twin, point, z) for twin in (first, second))
-    return float(np.max(np.abs(p - q) / np.sqrt((1 + np.abs(p) ** 2) * (1 + np.abs(q) ** 2))))
+    return float(
+        np.max(np.abs(p - q) / np.sqrt((1 + np.abs(p) ** 2) * (1 + np.abs(q) ** 2)))
+    )
 
 
 def tick_response(twin: Parameters, point: float, z: FloatArray) -> FloatArray:
@@ -88,15 +100,23 @@ def tick_response(twin: Parameters, point: float, z: FloatArray) -> FloatArray:
     def after(states: FloatArray, u: float) -> float:
         return float(advance(twin, states, u, 1.0)[0])
 
-    a = (after(at_rest.states + h, at_rest.input) - after(at_rest.states - h, at_rest.input)) / (2 * h)
-    b = (after(at_rest.states, at_rest.input + h) - after(at_rest.states, at_rest.input - h)) / (2 * h)
+    a = (
+        after(at_rest.states + h, at_rest.input)
+        - after(at_rest.states - h, at_rest.input)
+    ) / (2 * h)
+    b = (
+        after(at_rest.states, at_rest.input + h)
+        - after(at_rest.states, at_rest.input - h)
+    ) / (2 * h)
     return b / (z - a)
 
 
 @pytest.mark.parametrize("point", POINTS)
 def test_it_is_the_largest_chordal_distance_of_the_physics(point: float) -> None:
     """The loop holds a plate on a held sink at its rest, but for what a regime leaves of the transient."""
-    assert plant_gap(ONE, OTHER, [point], TERMS) == pytest.approx(brute_force(ONE, OTHER, point), rel=1e-3)
+    assert plant_gap(ONE, OTHER, [point], TERMS) == pytest.approx(
+        brute_force(ONE, OTHER, point), rel=1e-3
+    )
 
 
 def test_over_points_it_is_the_largest() -> None:
@@ -109,7 +129,10 @@ def test_over_points_it_is_the_largest() -> None:
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.lists(plates(), min_size=3, max_size=3), st.sets(st.floats(25.0, 95.0), min_size=1, max_size=3))
+@given(
+    st.lists(plates(), min_size=3, max_size=3),
+    st.sets(st.floats(25.0, 95.0), min_size=1, max_size=3),
+)
 def test_it_is_a_metric(twins: list[Parameters], points: set[float]) -> None:
     gaps = plant_gaps(twins, sorted(points), TERMS).matrix
     assert np.array_equal(gaps, gaps.T)
@@ -149,7 +172,10 @@ def test_a_heavy_sink_comes_near_a_held_one() -> None:
     model = Peltier.model("sink with mass, free ambient")
     gaps = [
         plant_gap(
-            ONE, model.parameters(**PLATE, sink_heat_capacity=mass, sink_convection=cooling), POINTS, TERMS
+            ONE,
+            model.parameters(**PLATE, sink_heat_capacity=mass, sink_convection=cooling),
+            POINTS,
+            TERMS,
         )
         for mass, cooling in ((100.0, 3.0), (1e3, 30.0), (1e5, 3e3), (1e7, 3e5))
     ]
@@ -192,9 +218,13 @@ def test_a_loop_that_diverges_is_refused() -> None:
     lag = Lag.model().parameters()
     scales = spans_of(Lag)
     calm = LoopConditions(PidGains(1.0, 0.1, 0.0, 1.0, -10.0, 10.0), scales)
-    assert linearised_in_loop(lag, 3.0, calm).rest.states[0] == pytest.approx(3.0, abs=1e-6)
+    assert linearised_in_loop(lag, 3.0, calm).rest.states[0] == pytest.approx(
+        3.0, abs=1e-6
+    )
     wild = LoopConditions(PidGains(1e6, 0.0, 0.0, 0.0, -1e308, 1e308), scales)
-    with pytest.raises(DiscriminationError, match="the loop of Lag, lag does not hold it at 3 m"):
+    with pytest.raises(
+        DiscriminationError, match="the loop of Lag, lag does not hold it at 3 m"
+    ):
         linearised_in_loop(lag, 3.0, wild)
     assert len(plant_gaps([lag, lag.replace(gain=3.0)], [3.0], wild).left_out) == 1
 
@@ -208,14 +238,18 @@ def test_it_is_the_plant_of_the_margin_in_other_units() -> None:
 
 @settings(max_examples=15, deadline=None)
 @given(plates(), st.floats(30.0, 80.0))
-def test_slopes_are_those_of_the_exact_responses(twin: Parameters, point: float) -> None:
+def test_slopes_are_those_of_the_exact_responses(
+    twin: Parameters, point: float
+) -> None:
     """Along one direction in all free parameters, against two plants ten times farther apart."""
     free = twin.model.structure.free
     response, slopes = response_slopes(twin, free, point, TERMS)
     scales = {name: twin.model.declared[name].scale for name in free}
 
     def moved_response(step: float) -> np.ndarray:
-        moved = twin.replace(**{name: twin[name] + step * scale for name, scale in scales.items()})
+        moved = twin.replace(
+            **{name: twin[name] + step * scale for name, scale in scales.items()}
+        )
         return response_slopes(moved, (), point, TERMS)[0]
 
     difference = (moved_response(5e-3) - moved_response(-5e-3)) / 1e-2
@@ -252,9 +286,17 @@ def test_it_ranks_how_differently_twins_behave() -> None:
             "conductance": rng.uniform(0.4, 0.8),
             "heat_capacity": rng.uniform(22.0, 36.0),
         }
-        sink = {"sink_heat_capacity": rng.uniform(200.0, 500.0), "sink_convection": rng.uniform(3.0, 8.0)}
-        twins.append(RICH.parameters(**plate, **sink) if k % 2 else MODEL.parameters(**plate))
-    runs = [simulate_closed_loop(t, reference, states=begin(t, 30.0), law=GAINS) for t in twins]
+        sink = {
+            "sink_heat_capacity": rng.uniform(200.0, 500.0),
+            "sink_convection": rng.uniform(3.0, 8.0),
+        }
+        twins.append(
+            RICH.parameters(**plate, **sink) if k % 2 else MODEL.parameters(**plate)
+        )
+    runs = [
+        simulate_closed_loop(t, reference, states=begin(t, 30.0), law=GAINS)
+        for t in twins
+    ]
     gaps = plant_gaps(twins, (30.0, 50.0, 75.0), TERMS).matrix
     apart = []
     behaviour = []
@@ -272,7 +314,8 @@ def test_it_ranks_how_differently_twins_behave() -> None:
 class Row(NamedTuple):
     set_point: int
     order: int
-    lengths: tuple[int, int, int, int, int, int, int]  # l(t), l(BJ), gain of y; the same of u; total gain
+    # l(t), l(BJ), gain of y; the same of u; total gain
+    lengths: tuple[int, int, int, int, int, int, int]
     naic: tuple[float, float]
     bic: tuple[float, float]
     mdl: float
@@ -286,18 +329,102 @@ ROWS = (
     Row(30, 3, (1242, 741, 501, 1019, 1055, -36, 465), (0, 0), (472.21, 383.82), 0.34),
     Row(30, 4, (1242, 637, 605, 1019, 998, 21, 626), (0, 0), (819.77, 464.58), 0.49),
     Row(30, 5, (1242, 1219, 23, 1019, 1078, -59, -36), (0, 0), (429.28, 467.93), 0.48),
-    Row(50, 2, (2048, 979, 1069, 1622, 1493, 129, 1198), (0.78, 0.80), (1283.65, 1290.03), 2.52),
-    Row(50, 3, (2048, 1082, 966, 1622, 1506, 116, 1082), (0.84, 0.84), (1327.87, 1325.32), 2.75),
-    Row(50, 4, (2048, 1067, 981, 1622, 1549, 73, 1054), (0.86, 0.84), (1358.30, 1349.62), 2.88),
-    Row(50, 5, (2048, 1836, 212, 1622, 1653, -31, 181), (0.93, 0.93), (1404.68, 1404.46), 3.33),
-    Row(70, 2, (2898, 1286, 1612, 2890, 2042, 848, 2460), (1.82, 2.24), (2337.72, 2543.94), 10.40),
-    Row(70, 3, (2898, 1258, 1640, 2890, 1712, 1178, 2818), (1.91, 2.26), (2406.90, 2579.63), 11.13),
-    Row(70, 4, (2898, 1429, 1469, 2890, 2107, 783, 2252), (1.94, 2.17), (2446.20, 2561.95), 10.61),
-    Row(70, 5, (2898, 2591, 307, 2890, 2013, 877, 1184), (1.97, 2.29), (2485.83, 2642.01), 15.18),
-    Row(90, 2, (2721, 1219, 1502, 2712, 1930, 782, 2284), (1.88, 2.30), (2226.30, 2417.66), 11.06),
-    Row(90, 3, (2721, 1519, 1202, 2712, 1904, 808, 2010), (2.28, 2.29), (2434.50, 2437.36), 11.43),
-    Row(90, 4, (2721, 1386, 1335, 2712, 2014, 698, 2033), (1.90, 2.28), (2284.10, 2457.17), 11.78),
-    Row(90, 5, (2721, 1170, 1551, 2712, 2143, 569, 2120), (4.17, 1.91), (3354.17, 2312.17), 12.38),
+    Row(
+        50,
+        2,
+        (2048, 979, 1069, 1622, 1493, 129, 1198),
+        (0.78, 0.80),
+        (1283.65, 1290.03),
+        2.52,
+    ),
+    Row(
+        50,
+        3,
+        (2048, 1082, 966, 1622, 1506, 116, 1082),
+        (0.84, 0.84),
+        (1327.87, 1325.32),
+        2.75,
+    ),
+    Row(
+        50,
+        4,
+        (2048, 1067, 981, 1622, 1549, 73, 1054),
+        (0.86, 0.84),
+        (1358.30, 1349.62),
+        2.88,
+    ),
+    Row(
+        50,
+        5,
+        (2048, 1836, 212, 1622, 1653, -31, 181),
+        (0.93, 0.93),
+        (1404.68, 1404.46),
+        3.33,
+    ),
+    Row(
+        70,
+        2,
+        (2898, 1286, 1612, 2890, 2042, 848, 2460),
+        (1.82, 2.24),
+        (2337.72, 2543.94),
+        10.40,
+    ),
+    Row(
+        70,
+        3,
+        (2898, 1258, 1640, 2890, 1712, 1178, 2818),
+        (1.91, 2.26),
+        (2406.90, 2579.63),
+        11.13,
+    ),
+    Row(
+        70,
+        4,
+        (2898, 1429, 1469, 2890, 2107, 783, 2252),
+        (1.94, 2.17),
+        (2446.20, 2561.95),
+        10.61,
+    ),
+    Row(
+        70,
+        5,
+        (2898, 2591, 307, 2890, 2013, 877, 1184),
+        (1.97, 2.29),
+        (2485.83, 2642.01),
+        15.18,
+    ),
+    Row(
+        90,
+        2,
+        (2721, 1219, 1502, 2712, 1930, 782, 2284),
+        (1.88, 2.30),
+        (2226.30, 2417.66),
+        11.06,
+    ),
+    Row(
+        90,
+        3,
+        (2721, 1519, 1202, 2712, 1904, 808, 2010),
+        (2.28, 2.29),
+        (2434.50, 2437.36),
+        11.43,
+    ),
+    Row(
+        90,
+        4,
+        (2721, 1386, 1335, 2712, 2014, 698, 2033),
+        (1.90, 2.28),
+        (2284.10, 2457.17),
+        11.78,
+    ),
+    Row(
+        90,
+        5,
+        (2721, 1170, 1551, 2712, 2143, 569, 2120),
+        (4.17, 1.91),
+        (3354.17, 2312.17),
+        12.38,
+    ),
 )
 
 COMPLETE = tuple(row for row in ROWS if row.set_point in SAMPLES)
@@ -355,7 +482,12 @@ def candidate(operating_point: float, name: str | None = None) -> Candidate:
         pytest.param(8, [50.0, 53.0], 50.0, id="the older of a regime"),
         pytest.param(8, [50.0, 57.0, 54.0], 57.0, id="the nearer of two regimes"),
         pytest.param(8, [50.0, 60.0], None, id="nobody"),
-        pytest.param(2, [90.0, 30.0, 60.0], 90.0, id="the one matched longest ago, of a full family"),
+        pytest.param(
+            2,
+            [90.0, 30.0, 60.0],
+            90.0,
+            id="the one matched longest ago, of a full family",
+        ),
     ],
 )
 def test_a_new_candidate_replaces_that_of_its_regime_or_the_oldest(
@@ -376,14 +508,18 @@ def test_names_are_unique() -> None:
 
 
 @given(st.lists(st.floats(0, 110), max_size=40), st.integers(1, 8))
-def test_regimes_never_overlap_and_the_newest_is_always_in(points: list[float], most: int) -> None:
+def test_regimes_never_overlap_and_the_newest_is_always_in(
+    points: list[float], most: int
+) -> None:
     family = Family(most=most)
     for k, point in enumerate(points):
         family.admit(candidate(point, f"{k}"))
         candidates = family.candidates
         assert len(candidates) <= most
         assert f"{k}" in {c.name for c in candidates}
-        assert [c.operating_point for c in candidates] == sorted(c.operating_point for c in candidates)
+        assert [c.operating_point for c in candidates] == sorted(
+            c.operating_point for c in candidates
+        )
         standing = family.standing_at(point)
         assert standing is not None
         assert abs(standing.operating_point - point) < family.regime_width / 2

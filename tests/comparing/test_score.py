@@ -81,9 +81,13 @@ def test_totals_are_sums_as_in_the_papers_table() -> None:
 
 
 def test_the_order_most_criteria_prefer_is_chosen() -> None:
-    scores = [entry("22221", 500, 1.0, 900.0, 5.0), entry("33331", 700, 1.5, 950.0, 6.0)]
+    scores = [
+        entry("22221", 500, 1.0, 900.0, 5.0),
+        entry("33331", 700, 1.5, 950.0, 6.0),
+    ]
     assert choose_order(scores) == "22221"
-    assert choose_order([entry("22221", 500, 2.0, 900.0, 5.0), scores[1]]) == "22221"  # two each
+    # two each
+    assert choose_order([entry("22221", 500, 2.0, 900.0, 5.0), scores[1]]) == "22221"
     assert common_order(["33331", "22221", "33331"]) == "33331"
     assert common_order(["44441", "22221"]) == "22221"
 
@@ -99,11 +103,17 @@ def test_deviations_begin_at_rest() -> None:
 
 
 @pytest.mark.parametrize("lead", [5, 20, 40])
-def test_the_level_is_that_of_as_many_samples_as_the_schedule_leads_by(lead: int) -> None:
+def test_the_level_is_that_of_as_many_samples_as_the_schedule_leads_by(
+    lead: int,
+) -> None:
     window = measured()
-    assert operating_level(window, lead=lead).input == np.mean(window.input[60 - lead : 60])
+    assert operating_level(window, lead=lead).input == np.mean(
+        window.input[60 - lead : 60]
+    )
     driven = operating_level(
-        Window(window.reference, window.output, window.reference), driven=True, lead=lead
+        Window(window.reference, window.output, window.reference),
+        driven=True,
+        lead=lead,
     )
     assert driven.output == np.mean(window.output[60 - lead : 60])
     model = identify(window, ["22221"], lead=lead)[0]
@@ -111,7 +121,9 @@ def test_the_level_is_that_of_as_many_samples_as_the_schedule_leads_by(lead: int
     _, _, u = deviations(window, operating_level(window, lead=lead))
     errors = model.u.prediction_errors(ahead(window.reference - 30.0), u)
     loss = float(np.mean(errors**2))
-    assert score(model, window, absolute=KELVIN).u.mdl == mdl(loss, model.u.n_parameters, len(window))
+    assert score(model, window, absolute=KELVIN).u.mdl == mdl(
+        loss, model.u.n_parameters, len(window)
+    )
 
 
 def test_models_of_the_loop_have_its_gain_and_its_poles_inside() -> None:
@@ -122,10 +134,14 @@ def test_models_of_the_loop_have_its_gain_and_its_poles_inside() -> None:
         assert np.sum(model.y.B) / np.sum(model.y.F) == pytest.approx(1.0, abs=0.02)
 
 
-def test_more_noise_free_information_is_explained_by_the_right_model_than_by_a_wrong_one() -> None:
+def test_more_noise_free_information_is_explained_by_the_right_model_than_by_a_wrong_one() -> (
+    None
+):
     window = measured()
     right_model = identify(window)[0]
-    wrong_model = identify(measured(MODEL.parameters(seebeck=0.03, conductance=0.6, heat_capacity=60.0)))[0]
+    wrong_model = identify(
+        measured(MODEL.parameters(seebeck=0.03, conductance=0.6, heat_capacity=60.0))
+    )[0]
     right = score(right_model, window, absolute=KELVIN)
     wrong = score(wrong_model, window, absolute=KELVIN)
     assert right.y.gain > wrong.y.gain
@@ -157,11 +173,15 @@ def test_the_control_model_has_the_kick_of_the_same_tick() -> None:
     """The symbol's [u/r] starts without delay, the one identified with nk = 1 does not."""
     model = identify(measured())[0]
     assert model.u.B[0] == 0.0
-    assert abs(model.u.B[1]) > 1.0  # PWM per °C, the proportional kick clipped by the driver
+    # PWM per °C, the proportional kick clipped by the driver
+    assert abs(model.u.B[1]) > 1.0
 
 
 def test_the_twin_response_repeats_with_its_seed_only() -> None:
-    runs = [twin_response(RIG, measured(), Peltier.loop, Peltier.sensor, seed).output for seed in (5, 5, 6)]
+    runs = [
+        twin_response(RIG, measured(), Peltier.loop, Peltier.sensor, seed).output
+        for seed in (5, 5, 6)
+    ]
     np.testing.assert_array_equal(runs[0], runs[1])
     assert not np.array_equal(runs[0], runs[2])
 
@@ -185,7 +205,9 @@ def test_a_perfect_prediction_beats_any_penalty() -> None:
 
 
 @given(st.floats(1e-6, 1e6), st.integers(0, 60), st.integers(8, 10_000))
-def test_more_parameters_for_the_same_loss_never_help(v: float, n_p: int, n: int) -> None:
+def test_more_parameters_for_the_same_loss_never_help(
+    v: float, n_p: int, n: int
+) -> None:
     for criterion in (naic, bic, mdl):
         assert criterion(v, n_p + 1, n) > criterion(v, n_p, n)
         assert criterion(v * 1.01, n_p, n) > criterion(v, n_p, n)
@@ -193,14 +215,18 @@ def test_more_parameters_for_the_same_loss_never_help(v: float, n_p: int, n: int
 
 @pytest.mark.parametrize("criterion", [naic, bic, mdl])
 @pytest.mark.parametrize("bad", [-1e-9, math.nan, math.inf])
-def test_an_impossible_loss_is_refused(criterion: Callable[..., float], bad: float) -> None:
+def test_an_impossible_loss_is_refused(
+    criterion: Callable[..., float], bad: float
+) -> None:
     with pytest.raises(DiscriminationError, match=f"the loss is {bad}"):
         criterion(bad, 3, 100)
 
 
 @pytest.mark.parametrize(("parameters", "samples"), [(3, 0), (-1, 10)])
 def test_impossible_counts_are_refused(parameters: int, samples: int) -> None:
-    with pytest.raises(DiscriminationError, match=f"{parameters} parameters and {samples} samples"):
+    with pytest.raises(
+        DiscriminationError, match=f"{parameters} parameters and {samples} samples"
+    ):
         naic(1.0, parameters, samples)
 
 
@@ -220,7 +246,9 @@ def chordal(p1: Responses, p2: Responses) -> np.ndarray:
 
 
 @given(st.integers(0, 10**9))
-def test_at_scale_one_the_estimates_are_the_disturbed_models_distances(seed: int) -> None:
+def test_at_scale_one_the_estimates_are_the_disturbed_models_distances(
+    seed: int,
+) -> None:
     rng = np.random.default_rng(seed)
     p1 = responses(rng, 6)
     p2 = responses(rng, 6)
@@ -262,9 +290,14 @@ def test_a_draw_that_takes_one_point_through_zero_fails_there() -> None:
     near = np.concatenate([lag, lag])
     far = np.concatenate([lag, -lag])
     first, second = directions(np.array([near, 1.1 * near]))
-    moved = directions(np.array([near, near])), directions(np.array([1.1 * near, 1.1 * far]))
+    moved = (
+        directions(np.array([near, near])),
+        directions(np.array([1.1 * near, 1.1 * far])),
+    )
     a, _, c = disturbed_pair(first, second, *moved)
-    assert failing_draws(a, c, (first, second), moved, np.zeros(2, dtype=bool)).tolist() == [False, True]
+    assert failing_draws(
+        a, c, (first, second), moved, np.zeros(2, dtype=bool)
+    ).tolist() == [False, True]
     # and where it had failed without the draws, that draw makes it whole
     across = directions(np.array([1.1 * far]))[0]
     a, _, c = disturbed_pair(first, across, *moved)
@@ -290,7 +323,8 @@ def test_what_noise_alone_explains_may_be_nothing() -> None:
     moved = np.ascontiguousarray(np.swapaxes(e, 1, 2))
     may_be_equal = []
     for _ in range(60):
-        v = 0.1 * (rng.normal(size=(1, 20)) + 1j * rng.normal(size=(1, 20)))  # estimated: noise again
+        # estimated: noise again
+        v = 0.1 * (rng.normal(size=(1, 20)) + 1j * rng.normal(size=(1, 20)))
         a = np.abs(v) ** 2
         b = 2 * (v.conj()[:, :, None] * moved).real
         c = np.abs(moved) ** 2
@@ -313,14 +347,21 @@ COVARIANCE = np.diag([0.002, 0.03, 0.8]) ** 2
 """Of Seebeck coefficient, conductance and heat capacity, as a good window leaves them."""
 
 
-def scored(name: str, rig: Parameters, operating_point: float | None = None) -> CandidateScore:
-    point = float(name.split(maxsplit=1)[0]) if operating_point is None else operating_point
+def scored(
+    name: str, rig: Parameters, operating_point: float | None = None
+) -> CandidateScore:
+    point = (
+        float(name.split(maxsplit=1)[0]) if operating_point is None else operating_point
+    )
     return CandidateScore(name, point, rig, 0, 100, (), "22221", 0.1, None, 0.1)
 
 
 def twins(factor: float = 1.0) -> list[Candidate]:
     free = MODEL.structure.free
-    return [Candidate(name, 0.0, rig, None, free, factor * COVARIANCE) for name, rig in RIGS.items()]
+    return [
+        Candidate(name, 0.0, rig, None, free, factor * COVARIANCE)
+        for name, rig in RIGS.items()
+    ]
 
 
 def gaps(family: list[Candidate]) -> PlantGaps:
@@ -328,7 +369,10 @@ def gaps(family: list[Candidate]) -> PlantGaps:
 
 
 def judged(
-    nominal: str = "70 °C", factor: float = 1.0, gains: PidGains | None = None, family: int = 3
+    nominal: str = "70 °C",
+    factor: float = 1.0,
+    gains: PidGains | None = None,
+    family: int = 3,
 ) -> Certainty:
     candidates = [scored(name, rig) for name, rig in RIGS.items()][:family]
     terms = TERMS if gains is None else TERMS._replace(law=gains)
@@ -345,7 +389,9 @@ def test_every_field_is_filled_with_what_its_source_says() -> None:
     uncertainty = family_uncertainty(twins(), gaps(twins()), TERMS)
     nominal = loop_plant(RIGS["70 °C"], 70.0)
     controller = loop_controller(law_of(Peltier, 1.0))
-    for k, (candidate, rig) in enumerate(zip(judgement.candidates, RIGS.values(), strict=True)):
+    for k, (candidate, rig) in enumerate(
+        zip(judgement.candidates, RIGS.values(), strict=True)
+    ):
         plant = loop_plant(rig, candidate.operating_point)
         assert candidate.margin == stability_margin(plant, controller)
         assert candidate.plant_gap_to_nominal == nu_gap(plant, nominal)
@@ -372,11 +418,20 @@ def not_of_smallest_sum() -> str:
                 "which covers all candidates (the farthest is 0.",
             ],
         ),
-        (smallest_sum, 100.0, ["the data do not decide which candidate is nominal: {0} with probability 0."]),
+        (
+            smallest_sum,
+            100.0,
+            [
+                "the data do not decide which candidate is nominal: {0} with probability 0."
+            ],
+        ),
         (
             not_of_smallest_sum,
             1e-4,
-            ["the data do not decide", "{1} with probability below 0.01, {0} with above 0.99"],
+            [
+                "the data do not decide",
+                "{1} with probability below 0.01, {0} with above 0.99",
+            ],
         ),
     ],
     ids=["clear", "the data cannot tell", "against the probabilities"],
@@ -386,13 +441,17 @@ def test_how_certain_the_choice_is_in_words(
 ) -> None:
     judgement = judged(nominal(), factor=factor)
     for phrase in words:
-        assert phrase.format(smallest_sum(), not_of_smallest_sum()) in judgement.certainty
+        assert (
+            phrase.format(smallest_sum(), not_of_smallest_sum()) in judgement.certainty
+        )
     chosen = next(c for c in judgement.candidates if c.name == nominal())
     assert (chosen.nominal_probability >= 0.9) == ("decide" not in judgement.certainty)
 
 
 def test_a_single_candidate_leaves_no_choice() -> None:
-    margin = stability_margin(loop_plant(RIGS["50 °C"], 50.0), loop_controller(law_of(Peltier, 1.0)))
+    margin = stability_margin(
+        loop_plant(RIGS["50 °C"], 50.0), loop_controller(law_of(Peltier, 1.0))
+    )
     assert judged("50 °C", family=1).certainty == (
         "50 °C is the only candidate; the controller stabilises it and every plant "
         f"within a ν-gap of {margin:.2f}"
@@ -400,7 +459,12 @@ def test_a_single_candidate_leaves_no_choice() -> None:
 
 
 def test_a_controller_that_is_too_hot_holds_nothing() -> None:
-    hot = replace(Peltier.loop, proportional=38.57 * 400, integral=1.46877 * 400, derivative=6.66875 * 400)
+    hot = replace(
+        Peltier.loop,
+        proportional=38.57 * 400,
+        integral=1.46877 * 400,
+        derivative=6.66875 * 400,
+    )
     judgement = judged(gains=hot)
     assert [c.margin for c in judgement.candidates] == [0.0, 0.0, 0.0]
     assert judgement.certainty.endswith("; the controller does not stabilise it")
@@ -415,8 +479,13 @@ def test_plants_beyond_the_margin_and_lost_ones_are_named() -> None:
         candidates = [scored(name, rig) for name, rig in rigs.items()]
         return judge_uncertainty(candidates, family, matrix, "70 °C", TERMS)
 
-    judgement = with_capacity(12.0)  # half the heat capacity, twice the gain: held, but far away
-    assert judgement.candidates[2].plant_gap_to_nominal > judgement.candidates[1].margin > 0
+    # half the heat capacity, twice the gain: held, but far away
+    judgement = with_capacity(12.0)
+    assert (
+        judgement.candidates[2].plant_gap_to_nominal
+        > judgement.candidates[1].margin
+        > 0
+    )
     assert judgement.candidates[2].margin > 0
     assert "which excludes 90 °C (0." in judgement.certainty
     judgement = with_capacity(0.4)
@@ -444,7 +513,9 @@ def test_given_candidates_are_exact() -> None:
     candidates = [scored(name, rig) for name, rig in RIGS.items()]
     exact = [Candidate(name, 0.0, rig, None) for name, rig in RIGS.items()]
     judgement = judge_uncertainty(candidates, exact, gaps(exact), smallest_sum(), TERMS)
-    assert judgement.certainty.startswith(f"{smallest_sum()} is nominal with probability above 0.99")
+    assert judgement.certainty.startswith(
+        f"{smallest_sum()} is nominal with probability above 0.99"
+    )
     assert all(c.nu_gap_low == c.nu_gap_high for c in judgement.candidates)
 
 
@@ -454,7 +525,8 @@ def test_points_at_which_a_candidate_has_no_plant_are_reported() -> None:
     candidates = [scored(name, rig) for name, rig in hopeless.items()]
     judgement = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS)
     assert (
-        "; not compared everywhere: Peltier rig, held sink: its shortest time constant" in judgement.certainty
+        "; not compared everywhere: Peltier rig, held sink: its shortest time constant"
+        in judgement.certainty
     )
 
 
@@ -465,7 +537,9 @@ def test_without_a_nominal_there_is_nothing_to_say() -> None:
 def test_of_two_the_plant_is_asked() -> None:
     family = twins(1e-2)[:2]
     candidates = [scored(name, RIGS[name]) for name in list(RIGS)[:2]]
-    judgement = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS, plant=RIGS["50 °C"])
+    judgement = judge_uncertainty(
+        candidates, family, gaps(family), "50 °C", TERMS, plant=RIGS["50 °C"]
+    )
     assert judgement.certainty.startswith("50 °C is nominal with probability")
     judgement = judge_uncertainty(candidates, family, gaps(family), "50 °C", TERMS)
     assert judgement.certainty.startswith("the data do not decide")

@@ -14,7 +14,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from twinmatch.comparing import Candidate, DiscriminationError, LoopConditions, plant_gaps, spans_of
+from twinmatch.comparing import (
+    Candidate,
+    DiscriminationError,
+    LoopConditions,
+    plant_gaps,
+    spans_of,
+)
 from twinmatch.comparing.plant_gap import PlantGaps
 from twinmatch.comparing.uncertainty import covariance_root, family_uncertainty
 from twinmatch.comparing.verdict import DECIDED_FROM
@@ -34,15 +40,23 @@ RIGS = (
 STEPS = ((30.0, 50.0), (50.0, 70.0), (60.0, 85.0))
 
 
-def matched(rig: Parameters, step: tuple[float, float], rng: np.random.Generator) -> Candidate:
+def matched(
+    rig: Parameters, step: tuple[float, float], rng: np.random.Generator
+) -> Candidate:
     """What a match makes of five minutes of a rig, seen through the camera; the next ones if it refuses."""
     while True:
         reference = np.repeat(step, [60, 240])
         sensor = Peltier.sensor.realise(reference.size, 1.0, int(rng.integers(10**9)))
-        run = simulate_closed_loop(rig, reference, states=begin(rig, step[0]), sensor=sensor)
-        a_match = match(Window(reference, run.output, run.input), start=MODEL.parameters())
+        run = simulate_closed_loop(
+            rig, reference, states=begin(rig, step[0]), sensor=sensor
+        )
+        a_match = match(
+            Window(reference, run.output, run.input), start=MODEL.parameters()
+        )
         if a_match.accepted:
-            return Candidate("", 0.0, a_match.parameters, None, *a_match.of_parameters())
+            return Candidate(
+                "", 0.0, a_match.parameters, None, *a_match.of_parameters()
+            )
 
 
 def apart(twins: Sequence[Candidate | Parameters]) -> PlantGaps:
@@ -77,14 +91,20 @@ def coverage(rigs: Sequence[Parameters], families: int, seed: int = 1) -> Covera
         twins = [matched(rig, step, rng) for rig, step in zip(rigs, STEPS, strict=True)]
         twin_gaps = apart(twins)
         uncertainty = family_uncertainty(twins, twin_gaps, TERMS)
-        gaps.append(((uncertainty.nu_gap_low <= true) & (true <= uncertainty.nu_gap_high))[pairs])
+        gaps.append(
+            ((uncertainty.nu_gap_low <= true) & (true <= uncertainty.nu_gap_high))[
+                pairs
+            ]
+        )
         sums.append((uncertainty.sum_low <= total) & (total <= uncertainty.sum_high))
         choice = int(np.argmin(twin_gaps.matrix.sum(axis=0)))
         chosen.append(uncertainty.nominal_probability[choice])
         right.append(choice == np.argmin(total))
     sure = np.array(chosen) >= DECIDED_FROM
     sure_right = np.array(right)[sure] if sure.any() else [np.nan]
-    return Coverage(*(float(np.mean(v)) for v in (gaps, sums, chosen, right, sure, sure_right)))
+    return Coverage(
+        *(float(np.mean(v)) for v in (gaps, sums, chosen, right, sure, sure_right))
+    )
 
 
 def test_nine_in_ten_intervals_hold_the_truth() -> None:
@@ -123,7 +143,10 @@ def test_it_is_consistent_in_itself() -> None:
         np.testing.assert_array_equal(matrix, matrix.T)
         assert np.all(np.diag(matrix) == 0)
     assert np.all((uncertainty.nu_gap_low <= gaps) & (gaps <= uncertainty.nu_gap_high))
-    assert np.all((uncertainty.sum_low <= gaps.sum(axis=0)) & (gaps.sum(axis=0) <= uncertainty.sum_high))
+    assert np.all(
+        (uncertainty.sum_low <= gaps.sum(axis=0))
+        & (gaps.sum(axis=0) <= uncertainty.sum_high)
+    )
     # errors of different pairs do not all go the same way; ends near zero are coarse
     assert np.all(uncertainty.sum_low >= uncertainty.nu_gap_low.sum(axis=0) - 0.03)
     assert np.all(uncertainty.sum_high <= uncertainty.nu_gap_high.sum(axis=0) + 0.03)
@@ -132,9 +155,13 @@ def test_it_is_consistent_in_itself() -> None:
 
 def test_the_same_seed_gives_the_same_bits_and_another_nearly_the_same() -> None:
     twins, gaps = family()
-    first, repeated, another_seed = (family_uncertainty(twins, gaps, TERMS, seed=s) for s in (5, 5, 6))
+    first, repeated, another_seed = (
+        family_uncertainty(twins, gaps, TERMS, seed=s) for s in (5, 5, 6)
+    )
     np.testing.assert_array_equal(first.nu_gap_high, repeated.nu_gap_high)
-    np.testing.assert_array_equal(first.nominal_probability, repeated.nominal_probability)
+    np.testing.assert_array_equal(
+        first.nominal_probability, repeated.nominal_probability
+    )
     assert not np.array_equal(first.nu_gap_high, another_seed.nu_gap_high)
     np.testing.assert_allclose(first.nu_gap_high, another_seed.nu_gap_high, rtol=0.25)
 
@@ -154,7 +181,9 @@ def test_what_is_exact_has_no_interval(covariance: FloatArray) -> None:
     uncertainty = family_uncertainty(twins, twin_gaps, TERMS)
     np.testing.assert_array_equal(uncertainty.nu_gap_low, twin_gaps.matrix)
     np.testing.assert_array_equal(uncertainty.nu_gap_high, twin_gaps.matrix)
-    assert uncertainty.nominal_probability[np.argmin(twin_gaps.matrix.sum(axis=0))] == 1.0
+    assert (
+        uncertainty.nominal_probability[np.argmin(twin_gaps.matrix.sum(axis=0))] == 1.0
+    )
 
 
 def test_what_nothing_tells_is_as_uncertain_as_its_scale() -> None:
@@ -166,14 +195,19 @@ def test_what_nothing_tells_is_as_uncertain_as_its_scale() -> None:
         uncertainty = family_uncertainty(loose, twin_gaps, TERMS)
         assert np.isfinite(uncertainty.nu_gap_high).all()
         assert uncertainty.nominal_probability.max() < DECIDED_FROM
-    scales = [p.scale for name, p in MODEL.declared.items() if name in MODEL.structure.free]
+    scales = [
+        p.scale for name, p in MODEL.declared.items() if name in MODEL.structure.free
+    ]
     np.testing.assert_array_equal(covariance_root(endless[0]), np.diag(scales))
 
 
 def test_of_two_candidates_the_plant_decides() -> None:
     twins, _ = family(1e-2)
     two = twins[:2]
-    assert family_uncertainty(two, apart(two), TERMS).nominal_probability.tolist() == [0.5, 0.5]
+    assert family_uncertainty(two, apart(two), TERMS).nominal_probability.tolist() == [
+        0.5,
+        0.5,
+    ]
     for k in (0, 1):
         uncertainty = family_uncertainty(two, apart(two), TERMS, plant=RIGS[k])
         assert uncertainty.nominal_probability[k] > 0.95
@@ -198,15 +232,26 @@ def test_what_cannot_be_judged_is_refused() -> None:
     twins, gaps = family()
     with pytest.raises(DiscriminationError, match="give at least one"):
         family_uncertainty([], plant_gaps([], POINTS, TERMS), TERMS)
-    with pytest.raises(DiscriminationError, match=r"2 twins and ν-gaps of shape \(4, 3, 3\)"):
+    with pytest.raises(
+        DiscriminationError, match=r"2 twins and ν-gaps of shape \(4, 3, 3\)"
+    ):
         family_uncertainty(twins[:2], gaps, TERMS)
     for wrong in (np.full((3, 3), np.nan), np.eye(2)):
-        with pytest.raises(DiscriminationError, match=r"a covariance of shape \(\d, \d\) for 3 parameters"):
-            family_uncertainty([replace(twins[0], covariance=wrong), *twins[1:]], gaps, TERMS)
+        with pytest.raises(
+            DiscriminationError,
+            match=r"a covariance of shape \(\d, \d\) for 3 parameters",
+        ):
+            family_uncertainty(
+                [replace(twins[0], covariance=wrong), *twins[1:]], gaps, TERMS
+            )
 
 
 if __name__ == "__main__":
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    near = [RIGS[0], RIGS[0].replace(seebeck=0.058), RIGS[0].replace(conductance=0.55, heat_capacity=27.0)]
+    near = [
+        RIGS[0],
+        RIGS[0].replace(seebeck=0.058),
+        RIGS[0].replace(conductance=0.55, heat_capacity=27.0),
+    ]
     for rigs in (list(RIGS), near, [RIGS[0]] * 3):
         print(apart(rigs).matrix[np.triu_indices(3, 1)].round(3), coverage(rigs, count))

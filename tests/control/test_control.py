@@ -19,12 +19,16 @@ from twinmatch.plants import Peltier, TCLab, TCLabBoth
 def profile_of(levels, holds, **options):
     """A profile within what the rig can bear."""
     low, high = Peltier.output.safe
-    return Profile(levels, holds, **{"lowest": low, "highest": high, "unit": "°C"} | options)
+    return Profile(
+        levels, holds, **{"lowest": low, "highest": high, "unit": "°C"} | options
+    )
 
 
 STAIRS = profile_of((30.0, 50.0, 40.0), (10.0, 20.0, 30.0))
 
-profiles = st.lists(st.tuples(st.floats(5.0, 90.0), st.floats(20.0, 500.0)), min_size=1, max_size=6).flatmap(
+profiles = st.lists(
+    st.tuples(st.floats(5.0, 90.0), st.floats(20.0, 500.0)), min_size=1, max_size=6
+).flatmap(
     lambda rows: st.builds(
         profile_of,
         st.just(tuple(level for level, _ in rows)),
@@ -37,7 +41,17 @@ profiles = st.lists(st.tuples(st.floats(5.0, 90.0), st.floats(20.0, 500.0)), min
 
 @pytest.mark.parametrize(
     ("time", "reference"),
-    [(-5, 30), (0, 30), (9.999, 30), (10, 50), (29.999, 50), (30, 40), (59.9, 40), (60, 40), (1e6, 40)],
+    [
+        (-5, 30),
+        (0, 30),
+        (9.999, 30),
+        (10, 50),
+        (29.999, 50),
+        (30, 40),
+        (59.9, 40),
+        (60, 40),
+        (1e6, 40),
+    ],
 )
 def test_levels_follow_each_other(time, reference):
     assert STAIRS.reference(time) == reference
@@ -50,19 +64,27 @@ def test_a_profile_ends_unless_it_repeats():
     repeating = profile_of(STAIRS.levels, STAIRS.holds, repeat=True)
     assert repeating.duration == math.inf
     assert not repeating.ended(1e9)
-    assert [repeating.reference(t) for t in (60, 70, 90, 119, 120)] == [30, 50, 40, 40, 30]
+    assert [repeating.reference(t) for t in (60, 70, 90, 119, 120)] == [
+        30,
+        50,
+        40,
+        40,
+        30,
+    ]
 
 
 def test_a_ramp_leads_from_level_to_level():
     ramped = profile_of((30.0, 50.0, 40.0), (10.0, 20.0, 30.0), ramp=2.0)
-    assert [ramped.reference(t) for t in (0, 9, 10, 15, 20, 29, 30, 32, 35, 59)] == pytest.approx(
-        [30, 30, 30, 40, 50, 50, 50, 46, 40, 40]
-    )
+    assert [
+        ramped.reference(t) for t in (0, 9, 10, 15, 20, 29, 30, 32, 35, 59)
+    ] == pytest.approx([30, 30, 30, 40, 50, 50, 50, 46, 40, 40])
 
 
 def test_a_repeated_ramp_comes_from_the_last_level():
     ramped = profile_of((30.0, 50.0), (20.0, 20.0), repeat=True, ramp=2.0)
-    assert [ramped.reference(t) for t in (0, 5, 40, 45, 50)] == pytest.approx([30, 30, 50, 40, 30])
+    assert [ramped.reference(t) for t in (0, 5, 40, 45, 50)] == pytest.approx(
+        [30, 30, 50, 40, 30]
+    )
 
 
 @given(profiles, st.floats(-10.0, 1e5))
@@ -75,7 +97,10 @@ def test_a_repeating_profile_has_a_period(profile, time):
     repeating = dataclasses.replace(profile, repeat=True, ramp=0.0)
     round_ = sum(profile.holds)
     # Close to a step the rounding of the sum decides on which side of it the time is.
-    edges = [abs(time % round_ - sum(profile.holds[:k])) for k in range(len(profile.holds) + 1)]
+    edges = [
+        abs(time % round_ - sum(profile.holds[:k]))
+        for k in range(len(profile.holds) + 1)
+    ]
     if min(edges) > 1e-6:
         assert repeating.reference(time + round_) == repeating.reference(time)
 
@@ -91,22 +116,39 @@ def test_a_ramp_is_no_steeper_than_asked(profile, time, step):
     ("arguments", "message"),
     [
         ({"levels": (), "holds": ()}, "at least one level"),
-        ({"levels": (30.0,), "holds": (1.0, 2.0)}, "1 levels and 2 times are given; give one time per level"),
+        (
+            {"levels": (30.0,), "holds": (1.0, 2.0)},
+            "1 levels and 2 times are given; give one time per level",
+        ),
         (
             {"levels": (30.0, 150.0), "holds": (1.0, 1.0)},
             "level 2 is 150 °C; give one in the safe range, 0 to 100 °C",
         ),
         ({"levels": (math.nan,), "holds": (1.0,)}, "level 1 is nan °C"),
-        ({"levels": (30.0,), "holds": (0.0,)}, "the time of level 1 is 0 s; give a positive time"),
+        (
+            {"levels": (30.0,), "holds": (0.0,)},
+            "the time of level 1 is 0 s; give a positive time",
+        ),
         ({"levels": (30.0,), "holds": (math.inf,)}, "time of level 1 is inf s"),
-        ({"levels": (30.0,), "holds": (1.0,), "lowest": 50.0, "highest": 40.0}, "50 to 40 °C is empty"),
-        ({"levels": (30.0,), "holds": (1.0,), "ramp": -1.0}, "the ramp is -1 °C/s; give a positive rate"),
+        (
+            {"levels": (30.0,), "holds": (1.0,), "lowest": 50.0, "highest": 40.0},
+            "50 to 40 °C is empty",
+        ),
+        (
+            {"levels": (30.0,), "holds": (1.0,), "ramp": -1.0},
+            "the ramp is -1 °C/s; give a positive rate",
+        ),
         (
             {"levels": (30.0, 50.0), "holds": (9.0, 9.0), "ramp": 2.0},
             "the ramp to level 2 takes 10 s, longer than its time of 9 s",
         ),
         (
-            {"levels": (30.0, 40.0, 50.0), "holds": (9.0, 9.0, 9.0), "ramp": 2.0, "repeat": True},
+            {
+                "levels": (30.0, 40.0, 50.0),
+                "holds": (9.0, 9.0, 9.0),
+                "ramp": 2.0,
+                "repeat": True,
+            },
             "the ramp to level 1 takes 10 s",
         ),
     ],
@@ -144,14 +186,20 @@ def test_recorded_control_is_reproduced(recorded_hour, number):
     assert (loop.missed, loop.idle) == (0, 0)
 
 
-@given(st.lists(st.tuples(st.floats(0, 100), st.floats(-20, 150)), min_size=1, max_size=50))
+@given(
+    st.lists(st.tuples(st.floats(0, 100), st.floats(-20, 150)), min_size=1, max_size=50)
+)
 def test_each_tick_is_one_step_of_the_pid(signals):
     loop = Loop(Peltier, state=PidState())
     pid = Controller(GAINS)
     for k, (reference, temperature) in enumerate(signals):
         sample = tick(loop, k, reference, temperature)
         assert sample.input == loop.input == pid.step(reference, temperature)[0]
-        assert (sample.reference, sample.output, sample.stamp) == (reference, temperature, k * SECOND)
+        assert (sample.reference, sample.output, sample.stamp) == (
+            reference,
+            temperature,
+            k * SECOND,
+        )
 
 
 def test_the_first_output_is_zero_and_the_integral_carries_on():
@@ -161,7 +209,9 @@ def test_the_first_output_is_zero_and_the_integral_carries_on():
     pid = Controller(GAINS)
     pid.follow(40.0, 25.0, 0.0)
     pid = Controller(GAINS, (-GAINS.proportional * 15.0 + GAINS.integral * 15.0, 15.0))
-    assert tick(loop, 1, 40.0, 25.5).input == pytest.approx(pid.step(40.0, 25.5)[0], abs=1e-9)
+    assert tick(loop, 1, 40.0, 25.5).input == pytest.approx(
+        pid.step(40.0, 25.5)[0], abs=1e-9
+    )
 
 
 def test_the_set_point_is_asked_for_at_times_of_the_grid():
@@ -260,7 +310,12 @@ def test_a_late_tick_is_not_a_missed_one():
 
 def test_a_late_first_tick_does_not_shift_the_grid():
     loop = Loop(Peltier)
-    assert [tick(loop, time, 30.0, 29.0).index for time in (0.4, 1, 2, 3.9)] == [0, 1, 2, 3]
+    assert [tick(loop, time, 30.0, 29.0).index for time in (0.4, 1, 2, 3.9)] == [
+        0,
+        1,
+        2,
+        3,
+    ]
     assert loop.jitter == pytest.approx(0.9)
 
 
@@ -275,7 +330,11 @@ def test_a_clock_set_back_starts_over_behind_a_gap():
 
 
 @given(
-    st.lists(st.tuples(st.integers(1, 3), st.floats(0, 0.99), st.booleans()), min_size=1, max_size=60),
+    st.lists(
+        st.tuples(st.integers(1, 3), st.floats(0, 0.99), st.booleans()),
+        min_size=1,
+        max_size=60,
+    ),
     st.floats(0, 0.99),
 )
 def test_an_index_is_a_place_on_the_grid(calls, late):
@@ -298,7 +357,12 @@ def test_an_index_is_a_place_on_the_grid(calls, late):
 
 def test_the_grid_moves_to_the_least_late_tick():
     loop = Loop(Peltier)
-    assert [tick(loop, time, 30.0, 29.0).index for time in (0.4, 1.0, 2.1, 4.2)] == [0, 1, 2, 4]
+    assert [tick(loop, time, 30.0, 29.0).index for time in (0.4, 1.0, 2.1, 4.2)] == [
+        0,
+        1,
+        2,
+        4,
+    ]
     assert loop.missed == 1
 
 
@@ -308,12 +372,19 @@ def test_a_second_call_at_once_is_not_a_tick():
     late = tick(loop, 2.1, 30.0, 28.0)
     assert (late.index, loop.missed) == (2, 1)
     assert tick(loop, 2.1, 30.0, 28.0) is None
-    assert (loop.input, loop.running, loop.missed, loop.idle) == (late.input, True, 1, 0)
+    assert (loop.input, loop.running, loop.missed, loop.idle) == (
+        late.input,
+        True,
+        1,
+        0,
+    )
     assert tick(loop, 3.0, 30.0, 28.0).index == 3
 
 
 @given(st.floats(-255, 255), st.floats(0, 100), st.floats(0, 100))
-def test_the_controller_continues_from_the_output_that_stands(pwm, reference, temperature):
+def test_the_controller_continues_from_the_output_that_stands(
+    pwm, reference, temperature
+):
     loop = Loop(Peltier)
     tick(loop, 0, reference, temperature)
     loop.inputs = [pwm]
@@ -328,10 +399,17 @@ def test_an_age_has_to_be_positive(age):
 
 def test_a_proportional_law_keeps_nothing_of_a_limit_or_a_stop():
     """Without integral action nothing would undo what back-calculation or a restart adds to the command."""
-    gains = replace(Peltier.loop, proportional=10.0, integral=0.0, derivative=0.0, back_calculation=1.0)
+    gains = replace(
+        Peltier.loop,
+        proportional=10.0,
+        integral=0.0,
+        derivative=0.0,
+        back_calculation=1.0,
+    )
     loop = Loop(Peltier, gains)
     commands = {}
-    for k in (0, 1, 2, 3, 9, 10):  # the set-point is far at first; ticks 4 to 8 are missed
+    for k in (0, 1, 2, 3, 9, 10):
+        # the set-point is far at first; ticks 4 to 8 are missed
         loop.measure(20.0, k * 10**9)
         sample = loop.tick(k * 10**9, lambda t: 90.0 if t < 2 else 22.0)
         commands[k] = sample.input
@@ -361,17 +439,24 @@ def test_two_loops_are_two_pids_on_one_grid():
     both.measure((25.0, math.nan), 60 * SECOND)
     assert both.refused == 2
     assert both.tick(63 * SECOND, lambda _: (50.0, 35.0)) is None
-    assert both.trouble == "the newest temperature and second_temperature is 4.0 s old; is the kit working?"
+    assert (
+        both.trouble
+        == "the newest temperature and second_temperature is 4.0 s old; is the kit working?"
+    )
     assert both.inputs == [0.0, 0.0]
     both.measure((25.0, 30.0), 64 * SECOND)
     assert both.tick(64 * SECOND, lambda _: 50.0) is None
-    assert both.trouble == "1 set-points are given for temperature and second_temperature"
+    assert (
+        both.trouble == "1 set-points are given for temperature and second_temperature"
+    )
     assert both.tick(65 * SECOND, lambda _: (50.0, math.nan)) is None
     assert both.trouble == "the set-point is nan, not a finite number"
 
 
 def test_a_plant_with_another_law_is_not_controlled():
-    with pytest.raises(ControlError, match="give a PID for each of its 2 outputs and 2 drives"):
+    with pytest.raises(
+        ControlError, match="give a PID for each of its 2 outputs and 2 drives"
+    ):
         Loop(TCLabBoth, GAINS)
 
 
@@ -385,12 +470,18 @@ def test_a_law_takes_what_stands_in_for_a_reading_and_samples_keep_the_reading()
         for tested, first in ((loop, 45.0 if lies else 40.0), (undisturbed, 40.0)):
             replacement = (40.0, math.nan) if lies and tested is loop else ()
             tested.measure((first, 30.0), k * 10**9, taken=replacement)
-        sample, expected = (tested.tick(k * 10**9, lambda _: (42.0, 33.0)) for tested in (loop, undisturbed))
+        sample, expected = (
+            tested.tick(k * 10**9, lambda _: (42.0, 33.0))
+            for tested in (loop, undisturbed)
+        )
         steps.append((sample, expected))
     assert [sample.outputs[0] for sample, _ in steps[20:40]] == [45.0] * 20
     assert max(abs(a.inputs[1] - b.inputs[1]) for a, b in steps) == 0.0
     # Where a controller continues, its integral is set for the command of the tick before: a tick of growth.
-    growth = max(abs(b.inputs[0] - a.inputs[0]) for (_, a), (_, b) in itertools.pairwise(steps[1:]))
+    growth = max(
+        abs(b.inputs[0] - a.inputs[0])
+        for (_, a), (_, b) in itertools.pairwise(steps[1:])
+    )
     assert max(abs(a.inputs[0] - b.inputs[0]) for a, b in steps) <= 2.0 * growth
 
 

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from tests.support.plants import Lag
-from twinmatch.controllers import ControllerError, Holding, TriedTwin, WholeLoop, as_linear
+from twinmatch.controllers import (
+    ControllerError,
+    Holding,
+    TriedTwin,
+    WholeLoop,
+    as_linear,
+)
 from twinmatch.controllers.first_course import draws_of_file, first_course
 from twinmatch.controllers.first_pid import MAX_SENSITIVITY, first_pid, reduced
 from twinmatch.dynamics import Linear, Rest, begin, simulate_driven
@@ -22,7 +28,9 @@ def test_a_course_keeps_nearly_all_that_a_file_allows_in_the_range() -> None:
     low, high = course.ends
     kept = []
     for draw in others:
-        run = simulate_driven(draw, course.inputs(1.0), states=begin(draw, 0.0), period=1.0)
+        run = simulate_driven(
+            draw, course.inputs(1.0), states=begin(draw, 0.0), period=1.0
+        )
         kept.append(low <= run.output.min() and run.output.max() <= high)
     assert np.mean(kept) >= 0.9
     assert course.levels[0] == Lag.drive.rest
@@ -65,7 +73,9 @@ def test_a_first_order_plant_with_dead_time_is_reduced_to_itself(delay: int) -> 
 
 
 def test_a_plant_that_does_not_come_to_rest_is_refused() -> None:
-    integrator = Linear(np.eye(1), np.ones((1, 1)), np.ones((1, 1)), 1.0, Rest(np.zeros(1), np.zeros(1)))
+    integrator = Linear(
+        np.eye(1), np.ones((1, 1)), np.ones((1, 1)), 1.0, Rest(np.zeros(1), np.zeros(1))
+    )
     with pytest.raises(ControllerError, match="does not come to rest"):
         reduced(integrator)
 

@@ -30,7 +30,9 @@ PID = {"kind": "pid", "proportional": 2.0, "integral": 0.1}
 def test_the_regulator_of_a_real_kit_gives_the_commands_that_it_gave() -> None:
     """All 5100 recorded samples, from the recorded readings, to what the author's program rounded."""
     rows = kit_rows("tclab_2x2", "closed_loop_lqg")
-    document = json.loads((OTHERS / "tclab_2x2" / "closed_loop_lqg_controller.json").read_text("utf-8"))
+    document = json.loads(
+        (OTHERS / "tclab_2x2" / "closed_loop_lqg_controller.json").read_text("utf-8")
+    )
     law = law_from(document, Heaters, 1.0)
     r = np.array([[row["SP1"], row["SP2"]] for row in rows])
     y = np.array([[row["T1"], row["T2"]] for row in rows])
@@ -43,7 +45,9 @@ def test_a_regulator_has_the_gain_of_python_control_and_no_offset() -> None:
     law = law_from(REGULATOR, Heaters, 1.0)
     assert isinstance(law, LinearLaw)
     a, b, c = (np.array(REGULATOR[key]) for key in "ABC")
-    gain, _, _ = control.dlqr(a, b, c.T @ np.array(REGULATOR["Qs"]) @ c, np.array(REGULATOR["Rs"]))
+    gain, _, _ = control.dlqr(
+        a, b, c.T @ np.array(REGULATOR["Qs"]) @ c, np.array(REGULATOR["Rs"])
+    )
     np.testing.assert_allclose(law.C[:, :2], -gain, atol=1e-9)
     # its own model under an output disturbance: the observer finds it, and the outputs reach the set-points
     x = np.zeros(2)
@@ -58,7 +62,16 @@ def test_a_regulator_has_the_gain_of_python_control_and_no_offset() -> None:
 
 def test_two_levels_and_matrices_are_read_from_documents() -> None:
     two = law_from(
-        {"kind": "two-level", "off": 0, "on": 5, "below": 0.5, "above": 0.2, "least_on": 3}, Lag, 2.0
+        {
+            "kind": "two-level",
+            "off": 0,
+            "on": 5,
+            "below": 0.5,
+            "above": 0.2,
+            "least_on": 3,
+        },
+        Lag,
+        2.0,
     )
     assert two == TwoLevel(0.0, 5.0, 0.5, 0.2, least_on=3.0, period=2.0)
     matrices = {
@@ -73,13 +86,18 @@ def test_two_levels_and_matrices_are_read_from_documents() -> None:
     law = law_from(matrices, Lag, 1.0)
     pid = law_from(PID, Lag, 1.0)
     r, y = np.random.default_rng(2).normal(size=(2, 30, 1))
-    ours, theirs = (commands_of(a_law.code, np.zeros(a_law.n_states), r, y)[0] for a_law in (law, pid))
+    ours, theirs = (
+        commands_of(a_law.code, np.zeros(a_law.n_states), r, y)[0]
+        for a_law in (law, pid)
+    )
     np.testing.assert_allclose(ours, theirs, atol=1e-12)
 
 
 def test_pids_side_by_side_become_one_linear_law() -> None:
     gains = {"proportional": 2.0, "integral": 0.1, "filter": 3.0, "weight": 0.5}
-    law = law_from({"kind": "pid", "loops": [gains, {**gains, "high": 60}]}, Heaters, 1.0)
+    law = law_from(
+        {"kind": "pid", "loops": [gains, {**gains, "high": 60}]}, Heaters, 1.0
+    )
     assert isinstance(law, LinearLaw)
     np.testing.assert_array_equal(law.high, [100.0, 60.0])
     np.testing.assert_allclose(law.E, np.eye(2))

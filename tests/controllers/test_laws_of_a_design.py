@@ -72,7 +72,10 @@ def _rest(u: FloatArray) -> FloatArray:
     x = np.full(5, 320.0)
     for _ in range(20):
         slopes = np.array(
-            [(rates(x + d, u, 296.0) - rates(x - d, u, 296.0)) / 2e-3 for d in 1e-3 * np.eye(5)]
+            [
+                (rates(x + d, u, 296.0) - rates(x - d, u, 296.0)) / 2e-3
+                for d in 1e-3 * np.eye(5)
+            ]
         ).T
         x = x - np.linalg.solve(slopes, rates(x, u, 296.0))
     return x
@@ -86,7 +89,9 @@ def recorded(folder: Path) -> Ground:
     samples = []
     for k, command in enumerate(u):
         y = x[3:5] - 273.15 + rng.normal(0.0, 0.08, 2)
-        samples.append(Sample(k, 10**9 * k, (0.0, 0.0), tuple(y.tolist()), tuple(command.tolist())))
+        samples.append(
+            Sample(k, 10**9 * k, (0.0, 0.0), tuple(y.tolist()), tuple(command.tolist()))
+        )
         x = stepped(x, command, 296.0 + 1.0 * np.sin(k / 900.0))
     session = read_session(write_session(folder / "open", samples))
     return ground_of(replace(session, plant="tclab-both", has_reference=False))
@@ -103,19 +108,28 @@ def designs(number: int) -> list[Design]:
     """Regulators whose true loop is clearly stable or clearly not, as many of each as there are."""
     rng = np.random.default_rng(31)
     rest_state, u0 = rest_at_level(LEVEL)
-    gain = np.array([_rest(u0 + d)[3:5] - _rest(u0 - d)[3:5] for d in 0.5 * np.eye(2)]).T
+    gain = np.array(
+        [_rest(u0 + d)[3:5] - _rest(u0 - d)[3:5] for d in 0.5 * np.eye(2)]
+    ).T
     sorted_: dict[bool, list[Design]] = {True: [], False: []}
     while min(map(len, sorted_.values())) < number // 2:
         angle = rng.uniform(-1.0, 1.0) * np.pi * rng.integers(0, 2)
         stretch = np.exp(rng.normal(0.0, 0.3, 2))
-        turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        turned = np.array(
+            [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        )
         a = np.diag(np.exp(-1.0 / rng.uniform(90.0, 250.0, 2)))
         b = (np.eye(2) - a) @ gain @ turned @ np.diag(stretch)
         model = block_diag(a, np.eye(2))
         output_matrix = np.hstack([np.eye(2), np.eye(2)])
         noise = np.diag(10.0 ** rng.uniform(-3.0, -1.0, 4))
         p = solve_discrete_are(model.T, output_matrix.T, noise, np.eye(2))
-        k = model @ p @ output_matrix.T @ np.linalg.inv(output_matrix @ p @ output_matrix.T + np.eye(2))
+        k = (
+            model
+            @ p
+            @ output_matrix.T
+            @ np.linalg.inv(output_matrix @ p @ output_matrix.T + np.eye(2))
+        )
         document = {
             "A": a, "B": b, "C": np.eye(2), "Bd": np.zeros((2, 2)), "Cd": np.eye(2), "K": k, "u0": u0,
             "y0": LEVEL, "Qs": np.eye(2), "Rs": 10.0 ** rng.uniform(-3.0, -1.0) * np.eye(2),
@@ -145,27 +159,36 @@ def true_eigenvalue(law: LinearLaw, rest_state: FloatArray) -> float:
 
 
 @pytest.fixture(scope="module")
-def answers(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Design, ControllerAnswer]]:
+def answers(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> list[tuple[Design, ControllerAnswer]]:
     ground = recorded(tmp_path_factory.mktemp("kit"))
     twins = members_from(ground)
     references = np.tile(LEVEL, (60, 1))
     design_answers = []
     for design in designs(LAWS):
-        question = ControllerQuestion(design.law, references, LEVEL, ground.holding, draws=25)
+        question = ControllerQuestion(
+            design.law, references, LEVEL, ground.holding, draws=25
+        )
         design_answers.append((design, try_controller(twins, question)))
     return design_answers
 
 
 def test_none_is_sorted_wrongly(answers: list[tuple[Design, ControllerAnswer]]) -> None:
     for design, answer in answers:
-        wanted = ControllerDecision.SAFE if design.true < 1.0 else ControllerDecision.FAILS
+        wanted = (
+            ControllerDecision.SAFE if design.true < 1.0 else ControllerDecision.FAILS
+        )
         assert answer.decision is wanted, f"{design.true:.5f}: {answer.sentence}"
 
 
 def test_most_of_the_sound_ones_are_guaranteed_and_no_other(
     answers: list[tuple[Design, ControllerAnswer]],
 ) -> None:
-    cases = [(d.true < 1.0, a.guarantee is not None and a.guarantee.holds) for d, a in answers]
+    cases = [
+        (d.true < 1.0, a.guarantee is not None and a.guarantee.holds)
+        for d, a in answers
+    ]
     assert not any(guaranteed for sound, guaranteed in cases if not sound)
     sound = [guaranteed for sound, guaranteed in cases if sound]
     assert np.mean(sound) >= 0.7

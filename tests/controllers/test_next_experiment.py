@@ -22,7 +22,12 @@ from twinmatch.controllers import (
     goal_named,
     next_experiment,
 )
-from twinmatch.controllers.next_experiment import ENOUGH, NEARLY, _maximal_sequence, _Search
+from twinmatch.controllers.next_experiment import (
+    ENOUGH,
+    NEARLY,
+    _maximal_sequence,
+    _Search,
+)
 from twinmatch.dynamics import (
     Drive,
     Equations,
@@ -41,7 +46,9 @@ PERIOD = 6.0
 STEPS = 150
 NOISE = 0.5
 """°C, s, samples, °C: the published information divides by 0.25, the sensor's deviation, not its square."""
-NOMINAL = np.array([0.0417051733576387, 0.009440714239773074, 0.1659093525658045, 5.8357556063605465])
+NOMINAL = np.array(
+    [0.0417051733576387, 0.009440714239773074, 0.1659093525658045, 5.8357556063605465]
+)
 PUBLISHED = np.array(
     [
         [517225.409, 1360.013, -66404.725, -1002.473],
@@ -57,7 +64,9 @@ ALL = ("Ua", "Ub", "inv_CpH", "inv_CpS")
 FREE = ("Ua", "inv_CpH", "inv_CpS")
 """A transfer function of the second order without a zero has three coefficients: only three
 parameters can be recovered."""
-SINE = np.round(50.0 + 50.0 * np.sin(2.0 * np.pi * PERIOD * np.arange(1, STEPS + 1) / 300.0))
+SINE = np.round(
+    50.0 + 50.0 * np.sin(2.0 * np.pi * PERIOD * np.arange(1, STEPS + 1) / 300.0)
+)
 
 
 class TwoStateLab(Plant, name="two_state_lab"):
@@ -68,10 +77,20 @@ class TwoStateLab(Plant, name="two_state_lab"):
     heater = Drive(unit="%", limits=(0.0, 100.0), noise=1.0)
     body = State(unit="°C", span=(0.0, 85.0))
     probe = State(unit="°C", span=(0.0, 85.0))
-    Ua = Parameter(unit="W/K", default=NOMINAL[0], bounds=(0.001, 1.0), positive=True, role="losses")
+    Ua = Parameter(
+        unit="W/K",
+        default=NOMINAL[0],
+        bounds=(0.001, 1.0),
+        positive=True,
+        role="losses",
+    )
     Ub = Parameter(unit="W/K", default=NOMINAL[1], bounds=(0.001, 1.0), positive=True)
-    inv_CpH = Parameter(unit="K/J", default=NOMINAL[2], bounds=(0.01, 10.0), positive=True)  # noqa: N815
-    inv_CpS = Parameter(unit="K/J", default=NOMINAL[3], bounds=(0.1, 100.0), positive=True)  # noqa: N815
+    inv_CpH = Parameter(  # noqa: N815
+        unit="K/J", default=NOMINAL[2], bounds=(0.01, 10.0), positive=True
+    )
+    inv_CpS = Parameter(  # noqa: N815
+        unit="K/J", default=NOMINAL[3], bounds=(0.1, 100.0), positive=True
+    )
     structures = {"two": Structure(free=ALL)}  # noqa: RUF012
 
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
@@ -93,14 +112,19 @@ def readings(values: FloatArray, u: FloatArray) -> FloatArray:
     temperatures = np.zeros(2)
     probe_readings = [0.0]
     for command in u:
-        temperatures = step @ (temperatures + PERIOD * np.array([0.00016 * 200.0 * command * body, 0.0]))
+        temperatures = step @ (
+            temperatures + PERIOD * np.array([0.00016 * 200.0 * command * body, 0.0])
+        )
         probe_readings.append(temperatures[1])
     return ROOM + np.array(probe_readings)
 
 
 def information(u: FloatArray) -> FloatArray:
     """Its information on the parameters, scaled by them, by central differences."""
-    columns = [(readings(NOMINAL + d, u) - readings(NOMINAL - d, u)) / 2e-5 for d in 1e-5 * np.diag(NOMINAL)]
+    columns = [
+        (readings(NOMINAL + d, u) - readings(NOMINAL - d, u)) / 2e-5
+        for d in 1e-5 * np.diag(NOMINAL)
+    ]
     slopes = np.array(columns) / NOISE
     return slopes @ slopes.T
 
@@ -109,15 +133,21 @@ def log_det(matrix: FloatArray) -> float:
     return float(np.linalg.slogdet(matrix)[1] / np.log(10.0))
 
 
-def lab(covariance: FloatArray | None, free: Sequence[str] = FREE, **values: float) -> TriedTwin:
+def lab(
+    covariance: FloatArray | None, free: Sequence[str] = FREE, **values: float
+) -> TriedTwin:
     parameters = TwoStateLab.model().parameters(**values)
-    return TriedTwin("lab", parameters, tuple(free), covariance, np.full(2, ROOM), np.zeros(1))
+    return TriedTwin(
+        "lab", parameters, tuple(free), covariance, np.full(2, ROOM), np.zeros(1)
+    )
 
 
 def terms(high: float = 85.0, size: int = STEPS) -> ExperimentTerms:
     level = np.array([ROOM])
     ends = np.array([[0.0], [high]])
-    return ExperimentTerms(Holding(None, PERIOD, 100), level, size, np.array([[0.0], [100.0]]), ends, 0.0)
+    return ExperimentTerms(
+        Holding(None, PERIOD, 100), level, size, np.array([[0.0], [100.0]]), ends, 0.0
+    )
 
 
 def known_to(share: float) -> FloatArray:
@@ -128,13 +158,17 @@ def known_to(share: float) -> FloatArray:
 @pytest.fixture(scope="module")
 def experiment() -> NextExperiment:
     member = lab(known_to(0.1))
-    return next_experiment([member], goal_named("parameters", [member], terms(200.0)), terms(200.0))
+    return next_experiment(
+        [member], goal_named("parameters", [member], terms(200.0)), terms(200.0)
+    )
 
 
 def test_the_sine_test_tells_as_much_as_was_published() -> None:
     """The three eigenvalues that the readings determine are within 2 % (the recorded commands are a little
     late); the fourth, 0.016 beside 527 000, is an error of the published derivatives: it is zero."""
-    ours, published = (np.linalg.eigvalsh(matrix) for matrix in (information(SINE), PUBLISHED))
+    ours, published = (
+        np.linalg.eigvalsh(matrix) for matrix in (information(SINE), PUBLISHED)
+    )
     assert ours[1:] == pytest.approx(published[1:], rel=0.02)
     assert log_det(PUBLISHED) == pytest.approx(12.31, abs=0.01)
     assert abs(ours[0]) < 1e-6
@@ -164,20 +198,25 @@ def test_tangents_are_those_of_the_simulation() -> None:
 def test_the_next_experiment_reaches_the_published_optimum() -> None:
     """With the published information as prior; a part of the published 14.56 is that error, see above."""
     member = lab(np.outer(NOMINAL, NOMINAL) * np.linalg.inv(PUBLISHED), ALL)
-    best = next_experiment([member], goal_named("parameters", [member], terms()), terms())
+    best = next_experiment(
+        [member], goal_named("parameters", [member], terms()), terms()
+    )
     reached = log_det(PUBLISHED) + 2.0 * best.most * np.log10(2.0)
     assert reached == pytest.approx(OPTIMUM, abs=0.06)
     assert best.course.characters >= NEARLY * best.most
     assert len(best.course.rows) < STEPS
 
 
-def test_it_tells_more_than_a_step_and_keeps_to_the_range(experiment: NextExperiment) -> None:
+def test_it_tells_more_than_a_step_and_keeps_to_the_range(
+    experiment: NextExperiment,
+) -> None:
     """In as much time, and no band leaves the range."""
     assert experiment.course.within
     step, binary, nothing = experiment.others
     assert experiment.course.characters > max(binary.characters, nothing.characters)
     assert experiment.course.characters > step.characters or not step.within
-    assert nothing.characters == pytest.approx(0.0, abs=1e-9)  # at rest in the room nothing shows
+    # at rest in the room nothing shows
+    assert nothing.characters == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_spread_after_it_is_as_predicted(experiment: NextExperiment) -> None:
@@ -190,15 +229,21 @@ def test_the_spread_after_it_is_as_predicted(experiment: NextExperiment) -> None
     errors = []
 
     def read(values: FloatArray) -> FloatArray:
-        varied = twin.parameters.replace(**dict(zip(FREE, values.tolist(), strict=True)))
-        return simulate_driven(varied, rows, states=np.full(2, ROOM), period=PERIOD).output
+        varied = twin.parameters.replace(
+            **dict(zip(FREE, values.tolist(), strict=True))
+        )
+        return simulate_driven(
+            varied, rows, states=np.full(2, ROOM), period=PERIOD
+        ).output
 
     for _ in range(12):
         true = centre * (1.0 + 0.1 * rng.standard_normal(3))
         recorded = read(true) + NOISE * rng.standard_normal(len(rows))
 
         def misses(scaled: FloatArray, measured: FloatArray = recorded) -> FloatArray:
-            return np.concatenate([(read(centre * scaled) - measured) / NOISE, (scaled - 1.0) / 0.1])
+            return np.concatenate(
+                [(read(centre * scaled) - measured) / NOISE, (scaled - 1.0) / 0.1]
+            )
 
         fit = least_squares(misses, np.ones(3), bounds=(0.3, 3.0))
         errors.append((centre * fit.x - true) / experiment.course.spreads)
@@ -211,7 +256,9 @@ def test_more_time_never_tells_less_and_information_adds() -> None:
     twins = [lab(known_to(0.2)), lab(known_to(0.1), Ua=0.05)]
     pair = LearningGoal("pair", tuple(map(Contender, twins)), pairs=True)
     for goal in (goal_named("parameters", twins, terms()), pair):
-        curve = _Search(twins, goal, terms(1e3)).curve(Staircase((1.0, 0.2), (0.3, 1.0), 0))
+        curve = _Search(twins, goal, terms(1e3)).curve(
+            Staircase((1.0, 0.2), (0.3, 1.0), 0)
+        )
         assert curve is not None
         assert (np.diff(curve) >= -1e-9).all()
         assert curve[-1] > 0.0
@@ -251,7 +298,9 @@ def test_what_cannot_be_asked_is_said() -> None:
             goal_named(goal, [exact], terms())
     member = lab(known_to(0.2))
     with pytest.raises(ControllerError, match="no course keeps the bands"):
-        next_experiment([member], goal_named("parameters", [member], terms(22.0)), terms(22.0))
+        next_experiment(
+            [member], goal_named("parameters", [member], terms(22.0)), terms(22.0)
+        )
 
 
 def test_the_binary_sequence_is_the_maximal_one() -> None:

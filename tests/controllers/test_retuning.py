@@ -42,12 +42,16 @@ def retuned(seed: int = 0, gains: PidGains = GAINS, **options: object) -> Retune
 
 @pytest.mark.parametrize("aim", ["load", "tracking"])
 def test_slopes_are_those_of_differences(aim: str) -> None:
-    case = _case(twins(Lag.model().parameters(), 1, 0.1, 3)[0], GAINS, LEVEL, HOLDING, aim)  # type: ignore[arg-type]
+    case = _case(
+        twins(Lag.model().parameters(), 1, 0.1, 3)[0], GAINS, LEVEL, HOLDING, aim
+    )  # type: ignore[arg-type]
     gains = np.array([0.3, 0.05, 0.1])
     _, slopes = case.cost(gains)
     for j in range(3):
         step = np.eye(3)[j] * 1e-6 * gains[j]
-        difference = (case.cost(gains + step)[0] - case.cost(gains - step)[0]) / (2.0 * step[j])
+        difference = (case.cost(gains + step)[0] - case.cost(gains - step)[0]) / (
+            2.0 * step[j]
+        )
         assert slopes[j] == pytest.approx(difference, rel=1e-5)
 
 
@@ -70,11 +74,20 @@ def test_it_is_close_to_an_oracle_that_knows_the_plant() -> None:
     of it, each off by half a per cent in gain and lag, give within the ceiling."""
     seed = 1
     rng = np.random.default_rng(seed)
-    truth = Lag.model().parameters(gain=float(rng.uniform(1.0, 4.0)), lag=float(rng.uniform(3.0, 20.0)))
-    before = PidGains(0.5 / truth["gain"], 0.5 / truth["gain"] / truth["lag"], 0.0, 0.0, -1e3, 1e3)
+    truth = Lag.model().parameters(
+        gain=float(rng.uniform(1.0, 4.0)), lag=float(rng.uniform(3.0, 20.0))
+    )
+    before = PidGains(
+        0.5 / truth["gain"], 0.5 / truth["gain"] / truth["lag"], 0.0, 0.0, -1e3, 1e3
+    )
     holding = Holding(before, 1.0, 120)
     after = retune(
-        twins(truth, 3, 0.005, seed), before, LEVEL / 4, holding, max_sensitivity=1.6, most_change=50.0
+        twins(truth, 3, 0.005, seed),
+        before,
+        LEVEL / 4,
+        holding,
+        max_sensitivity=1.6,
+        most_change=50.0,
     )
     plant = linearised(truth, LEVEL / 4, 1.0)
     best = np.inf
@@ -92,7 +105,9 @@ def test_it_is_close_to_an_oracle_that_knows_the_plant() -> None:
 def test_no_gain_changes_by_more_than_allowed() -> None:
     after = retuned(most_change=1.5).after
     for name in ("proportional", "integral", "derivative"):
-        assert 1 / 1.5 - 1e-9 <= getattr(after, name) / getattr(GAINS, name) <= 1.5 + 1e-9
+        assert (
+            1 / 1.5 - 1e-9 <= getattr(after, name) / getattr(GAINS, name) <= 1.5 + 1e-9
+        )
     assert (after.back_calculation, after.low, after.high) == (1.0, -10.0, 10.0)
 
 
@@ -108,8 +123,13 @@ def test_a_quieter_command_costs_no_error() -> None:
     quiet = retuned(aim="quiet", max_sensitivity=2.0)
     assert quiet.improvement > 0.03
     assert travel(quiet.after) == pytest.approx((1 - quiet.improvement) * travel(GAINS))
-    case = _case(TriedTwin("true", Lag.model().parameters()), GAINS, LEVEL, HOLDING, "load")
-    costs = [case.cost(np.array([g.proportional, g.integral, g.derivative]))[0] for g in (GAINS, quiet.after)]
+    case = _case(
+        TriedTwin("true", Lag.model().parameters()), GAINS, LEVEL, HOLDING, "load"
+    )
+    costs = [
+        case.cost(np.array([g.proportional, g.integral, g.derivative]))[0]
+        for g in (GAINS, quiet.after)
+    ]
     assert costs[1] <= 1.1 * costs[0]
 
 
@@ -119,7 +139,10 @@ def test_there_is_nothing_to_gain_twice() -> None:
     assert once.reason.startswith("the mean squared error after a load is ")
     twice = retuned(gains=once.after, most_change=1.003)
     assert (twice.after, twice.improvement) == (once.after, 0.0)
-    assert twice.reason == "there is nothing to gain within M_s ≤ 1.6 and a factor of 1.003"
+    assert (
+        twice.reason
+        == "there is nothing to gain within M_s ≤ 1.6 and a factor of 1.003"
+    )
 
 
 def test_gains_beyond_the_ceiling_come_down() -> None:
@@ -131,7 +154,10 @@ def test_gains_beyond_the_ceiling_come_down() -> None:
 
 
 def test_what_cannot_be_retuned_is_refused() -> None:
-    with pytest.raises(ControllerError, match=r"the ceiling 0\.9 and the largest change 2 must be above 1"):
+    with pytest.raises(
+        ControllerError,
+        match=r"the ceiling 0\.9 and the largest change 2 must be above 1",
+    ):
         retuned(max_sensitivity=0.9)
     with pytest.raises(ControllerError, match="no twin can be held at 90; "):
         retune([TriedTwin("one", Lag.model().parameters())], GAINS, 90.0, HOLDING)

@@ -36,8 +36,12 @@ LAW = as_linear(GAINS)
 def question(noise: float = NOISE) -> tuple[TriedTwin, ControllerQuestion]:
     """A twin with the true parameters, known to 5 and 10 %, and these readings."""
     covariance = np.diag([0.05 * 0.06, 0.1 * 0.6]) ** 2
-    twin = TriedTwin("rig", TRUE, ("seebeck", "conductance"), covariance, noise=np.array([noise]))
-    return twin, ControllerQuestion(LAW, LEVELS, LEVELS[0], Holding(GAINS, 1.0, 240), draws=60)
+    twin = TriedTwin(
+        "rig", TRUE, ("seebeck", "conductance"), covariance, noise=np.array([noise])
+    )
+    return twin, ControllerQuestion(
+        LAW, LEVELS, LEVELS[0], Holding(GAINS, 1.0, 240), draws=60
+    )
 
 
 def hour(noise: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -54,13 +58,18 @@ def record(assumed_noise: float, noise: float) -> list[LawComparison]:
     answer = try_controller([twin], asked)
     is_seen = np.ones(len(LEVELS))
     hours = [hour(noise, seed)[0] for seed in (1, 2, 3)]
-    parts = [compared(answer, readings, is_seen, np.array([noise])) for readings in hours]
+    parts = [
+        compared(answer, readings, is_seen, np.array([noise])) for readings in hours
+    ]
     return [replace(comparison(k), **part) for k, part in enumerate(parts)]
 
 
 def test_a_record_that_is_right_widens_nothing() -> None:
     comparisons = record(NOISE, NOISE)
-    assert all(predicted.inside and predicted.stable and predicted.as_said for predicted in comparisons)
+    assert all(
+        predicted.inside and predicted.stable and predicted.as_said
+        for predicted in comparisons
+    )
     assert min(predicted.share for predicted in comparisons) > 0.85
     assert widening_of(comparisons) == (1.0, 3)
     twin, asked = question()
@@ -68,7 +77,9 @@ def test_a_record_that_is_right_widens_nothing() -> None:
     assert widened(answer, comparisons) is answer
 
 
-def test_a_twin_that_counts_on_less_noise_is_widened_until_the_measured_costs_are_inside() -> None:
+def test_a_twin_that_counts_on_less_noise_is_widened_until_the_measured_costs_are_inside() -> (
+    None
+):
     comparisons = record(0.0, 1.5)
     assert not any(predicted.inside for predicted in comparisons)
     factor, number = widening_of(comparisons)
@@ -81,7 +92,10 @@ def test_a_twin_that_counts_on_less_noise_is_widened_until_the_measured_costs_ar
     assert "of 3 sessions in which laws ran" in wide.notes[-1]
     for quantity, band in wide.courses.figures.items():
         if quantity.name == COST:
-            assert all(band.low <= predicted.measured <= band.high * (1 + 1e-12) for predicted in comparisons)
+            assert all(
+                band.low <= predicted.measured <= band.high * (1 + 1e-12)
+                for predicted in comparisons
+            )
         else:
             assert band == pytest.approx(answer.courses.figures[quantity], nan_ok=True)
 
@@ -90,13 +104,20 @@ def test_a_twin_that_counts_on_less_noise_is_widened_until_the_measured_costs_ar
 def test_with_the_widened_band_nine_in_ten_would_have_been_inside(
     deviations: list[float], failing: int
 ) -> None:
-    comparisons = [comparison(k, measured=5.0 + away) for k, away in enumerate(deviations)]
+    comparisons = [
+        comparison(k, measured=5.0 + away) for k, away in enumerate(deviations)
+    ]
     bad = [comparison(99, decision="fails", measured=1e6)] * failing
     factor, number = widening_of(comparisons + bad)
     assert number == len(deviations)
     assert factor >= 1.0
     if number >= 3:
-        assert np.mean([predicted.off <= factor * (1 + 1e-12) for predicted in comparisons]) >= 0.9
+        assert (
+            np.mean(
+                [predicted.off <= factor * (1 + 1e-12) for predicted in comparisons]
+            )
+            >= 0.9
+        )
         assert factor <= max([1.0, *(predicted.off for predicted in comparisons)])
     else:
         assert factor == 1.0
@@ -150,8 +171,12 @@ def test_what_a_twin_does_not_explain_is_in_the_bands_of_the_readings() -> None:
         for _ in range(4):
             start = Holding(GAINS, 1.0, 240).linear(TRUE, [50.0])
             shaken = rng.normal(0.0, NOISE, LEVELS.shape)
-            run = run_law(TRUE, LAW, LEVELS, start, before=LEVELS[0], noise=shaken, slow=drift())
-            came = compared(answer, run.outputs + shaken, np.ones(len(LEVELS)), np.array([NOISE]))
+            run = run_law(
+                TRUE, LAW, LEVELS, start, before=LEVELS[0], noise=shaken, slow=drift()
+            )
+            came = compared(
+                answer, run.outputs + shaken, np.ones(len(LEVELS)), np.array([NOISE])
+            )
             shares_inside.append(came["share"])
     assert np.mean(shares[True]) > 0.85
     assert np.mean(shares[False]) < np.mean(shares[True]) - 0.05

@@ -12,7 +12,13 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete, lfilter
 
 from tests.support.exchanging import Heaters
-from twinmatch.comparing import StateSpace, UndefinedError, best_scaling, matrix_nu_gap, nu_gap
+from twinmatch.comparing import (
+    StateSpace,
+    UndefinedError,
+    best_scaling,
+    matrix_nu_gap,
+    nu_gap,
+)
 from twinmatch.controllers import FilteredPid, WholeLoop, as_linear, pid_law
 from twinmatch.controllers.whole_loop import UNSTABLE
 from twinmatch.dynamics import (
@@ -51,7 +57,8 @@ def sampled(system: control.StateSpace, period: float, delay: int = 0) -> Linear
 
 
 @pytest.mark.parametrize(
-    ("integrating", "up", "sensitivity", "delay"), [(False, 3.14, 1.59, 2.14), (True, 2.96, 1.70, 1.59)]
+    ("integrating", "up", "sensitivity", "delay"),
+    [(False, 3.14, 1.59, 2.14), (True, 2.96, 1.70, 1.59)],
 )
 def test_margins_are_those_that_skogestad_published(
     integrating: bool, up: float, sensitivity: float, delay: float
@@ -63,7 +70,9 @@ def test_margins_are_those_that_skogestad_published(
     lag = 4.0
     plant = control.tf([1.0], [1.0, 0.0] if integrating else [lag, 1.0])
     gain, time = (0.5, 8.0) if integrating else (lag / 2.0, lag)
-    law = pid_law([FilteredPid(proportional=gain, integral=gain / time, **WIDE)], period)
+    law = pid_law(
+        [FilteredPid(proportional=gain, integral=gain / time, **WIDE)], period
+    )
     [margins] = WholeLoop(sampled(control.ss(plant), period, dead), law).margins()
     # a sample lasts θ/60, and holding it is half of that as additional dead time
     assert margins.gain_up == pytest.approx(up, rel=0.015)
@@ -86,14 +95,18 @@ def test_margins_are_those_of_python_control(seed: int) -> None:
     )  # fmt: skip
     law = pid_law([pid], 1.0)
     loop = WholeLoop(plant, law)
-    theirs = control.ss(plant.A, plant.B, plant.C, 0, 1.0) * control.ss(law.A, law.B, law.C, law.D, 1.0)
+    theirs = control.ss(plant.A, plant.B, plant.C, 0, 1.0) * control.ss(
+        law.A, law.B, law.C, law.D, 1.0
+    )
     closed = np.linalg.eigvals(control.feedback(-theirs, 1).A)
     assert loop.eigenvalue == pytest.approx(np.abs(closed).max(), rel=1e-6)
     [margins] = loop.margins()
     if not loop.stable:
         assert margins == UNSTABLE
         return
-    gains, phases, sensitivities, angles, crossover, _ = control.stability_margins(-theirs, returnall=True)
+    gains, phases, sensitivities, angles, crossover, _ = control.stability_margins(
+        -theirs, returnall=True
+    )
     # python-control sees the integrator at z = 1 as a crossing with a gain of zero, to what a double root
     # keeps of a rounding, √ε ≈ 1e-8; the slowest pole turns the phase at 0.05 rad per sample
     gains = gains[angles > 1e-4]
@@ -107,7 +120,9 @@ def test_margins_are_those_of_python_control(seed: int) -> None:
     # python-control overlooks some, and sees two where the gain touches 1 and turns back
     crossed = [w for w in crossover if (abs(crossover - w) < 1e-4).sum() == 1]
     if len(crossed) == np.size(crossover) > 0:
-        assert margins.delay == pytest.approx(min(np.radians(phases % 360.0) / crossover), rel=1e-3)
+        assert margins.delay == pytest.approx(
+            min(np.radians(phases % 360.0) / crossover), rel=1e-3
+        )
     # a grid misses a resonance by an eighth of its width at most: 1 - 1/√(1 + 1/64)
     assert loop.sensitivity() == pytest.approx(margins.sensitivity, rel=8e-3)
 
@@ -137,16 +152,25 @@ def test_the_loop_is_unstable_just_beyond_its_margins(channel: int) -> None:
     assert not WholeLoop(scaled(TWO, channel, margins.gain_up * (1 + 1e-6)), TWO).stable
     longest = int(margins.delay / 2.0)
     for samples, stable in ((longest, True), (longest + 1, False)):
-        assert WholeLoop(delayed(linearised(PLANT, POINT, 2.0), channel, samples), TWO).stable is stable
+        assert (
+            WholeLoop(
+                delayed(linearised(PLANT, POINT, 2.0), channel, samples), TWO
+            ).stable
+            is stable
+        )
 
 
 def delayed(plant: Linear, channel: int, samples: int) -> Linear:
     for _ in range(samples):
-        a = np.block([[plant.A, plant.B[:, [channel]]], [np.zeros((1, len(plant.A) + 1))]])
+        a = np.block(
+            [[plant.A, plant.B[:, [channel]]], [np.zeros((1, len(plant.A) + 1))]]
+        )
         b = np.vstack([plant.B, np.zeros(plant.B.shape[1])])
         b[:, channel] = 0.0
         b[-1, channel] = 1.0
-        plant = plant._replace(A=a, B=b, C=np.hstack([plant.C, np.zeros((len(plant.C), 1))]))
+        plant = plant._replace(
+            A=a, B=b, C=np.hstack([plant.C, np.zeros((len(plant.C), 1))])
+        )
     return plant
 
 
@@ -176,13 +200,24 @@ def test_eigenvalues_say_what_the_simulation_does(factor: float, stable: bool) -
 def test_it_gives_the_commands_of_a_pid_of_the_plant_file(seed: int) -> None:
     rng = np.random.default_rng(seed)
     integral = 0.4 * int(rng.integers(2))
-    gains = PidGains(3.0, integral, 2.0, float(rng.uniform(0.0, 1.0)), -4.0, 9.0, 1.0, bool(rng.integers(2)))
+    gains = PidGains(
+        3.0,
+        integral,
+        2.0,
+        float(rng.uniform(0.0, 1.0)),
+        -4.0,
+        9.0,
+        1.0,
+        bool(rng.integers(2)),
+    )
     r, y = rng.normal(0.0, 2.0, (2, 60, 1))
     previous = rng.normal()
     first = np.array([0.5 if integral else 0.0, previous])
     theirs, _ = commands_of(gains.code, first, r, y)
     law = as_linear(gains)
-    ours, _ = commands_of(law.code, np.array([0.5, -2.0 * previous])[-law.n_states :], r, y)
+    ours, _ = commands_of(
+        law.code, np.array([0.5, -2.0 * previous])[-law.n_states :], r, y
+    )
     np.testing.assert_allclose(ours, theirs, atol=1e-9)
     assert ((theirs == -4.0) | (theirs == 9.0)).any()
 
@@ -196,9 +231,13 @@ def test_pids_side_by_side_are_each_for_itself_at_any_period() -> None:
     r, y = np.random.default_rng(6).normal(0.0, 8.0, (2, 60, 2))
     both, _ = commands_of(law.code, np.zeros(4), r, y)
     for k, pid_gains in enumerate(gains):
-        alone, _ = commands_of(pid_gains.at_period(2.0).code, np.zeros(2), r[:, [k]], y[:, [k]])
+        alone, _ = commands_of(
+            pid_gains.at_period(2.0).code, np.zeros(2), r[:, [k]], y[:, [k]]
+        )
         np.testing.assert_allclose(both[:, [k]], alone, atol=1e-9)
-    with pytest.raises(PlantError, match=r"2 given, every \[1.0, 2.0\] s; give PIDs of one period"):
+    with pytest.raises(
+        PlantError, match=r"2 given, every \[1.0, 2.0\] s; give PIDs of one period"
+    ):
         PidLoops.of(gains[0], gains[1].at_period(2.0))
 
 
@@ -206,7 +245,14 @@ def test_the_filter_is_the_sampled_transfer_function() -> None:
     """Kp + Kd·s/(1 + Tf·s), s ← (1 − z⁻¹)/Ts, computed by SciPy; the set-point with its weights."""
     ts = 0.5
     tf = 3.0
-    pid = FilteredPid(proportional=2.0, derivative=7.0, filter=tf, weight=0.3, derivative_weight=0.1, **WIDE)
+    pid = FilteredPid(
+        proportional=2.0,
+        derivative=7.0,
+        filter=tf,
+        weight=0.3,
+        derivative_weight=0.1,
+        **WIDE,
+    )
     r, y = np.random.default_rng(4).normal(size=(2, 80))
     u, _ = commands_of(pid_law([pid], ts).code, np.zeros(1), r[:, None], y[:, None])
     expected = 2.0 * (0.3 * r - y) + lfilter([7.0, -7.0], [tf + ts, -tf], 0.1 * r - y)
@@ -221,7 +267,9 @@ def test_an_offset_changes_where_it_rests_and_nothing_else() -> None:
         pid_law([FilteredPid(proportional=1.0, integral=0.2, back_calculation=0.5, offset=o, low=-2.0 + o,
                              high=1.0 + o)], 1.0) for o in (0.0, 5.0)
     )  # fmt: skip
-    before, after = (commands_of(law.code, np.zeros(2), r, y)[0] for law in (plain, moved))
+    before, after = (
+        commands_of(law.code, np.zeros(2), r, y)[0] for law in (plain, moved)
+    )
     np.testing.assert_allclose(after - 5.0, before, atol=1e-12)
 
 
@@ -234,7 +282,9 @@ def test_laws_that_cannot_close_the_loop_are_refused() -> None:
         pid_law([], 1.0)
     with pytest.raises(PlantError, match="not linear"):
         as_linear(TwoLevel(0.0, 1.0, 0.5, 0.5))
-    with pytest.raises(PlantError, match=r"the law runs every 2 s, the samples come every 1 s"):
+    with pytest.raises(
+        PlantError, match=r"the law runs every 2 s, the samples come every 1 s"
+    ):
         WholeLoop(linearised(PLANT, POINT, 1.0), TWO).margins()
 
 
@@ -251,7 +301,11 @@ def drawn_loops(number: int) -> list[WholeLoop]:
         plant = Linear(a, rng.normal(size=(n, m)), rng.normal(size=(m, n)), 1.0, REST)
         gains = rng.normal(size=m) * 10.0 ** rng.uniform(-2, 0, m)
         pids = [
-            FilteredPid(proportional=k, integral=k * rng.uniform(0.0, 0.3) * rng.integers(2), **WIDE)
+            FilteredPid(
+                proportional=k,
+                integral=k * rng.uniform(0.0, 0.3) * rng.integers(2),
+                **WIDE,
+            )
             for k in gains
         ]
         loop = WholeLoop(plant, pid_law(pids, 1.0))
@@ -270,7 +324,8 @@ def sizes_at(loop: WholeLoop, channel: int, factors: np.ndarray) -> np.ndarray:
     fixed = np.broadcast_to(np.hstack([law.B @ plant.C + law.G @ direct, law.A + law.G @ law.C]),
                             (factors.size, len(law.A), len(law.A) + len(plant.A)))  # fmt: skip
     whole = np.concatenate(
-        [np.concatenate([plant.A + acting @ direct, acting @ law.C], axis=2), fixed], axis=1
+        [np.concatenate([plant.A + acting @ direct, acting @ law.C], axis=2), fixed],
+        axis=1,
     )
     return np.abs(np.linalg.eigvals(whole)).max(axis=1)
 
@@ -284,18 +339,32 @@ def test_the_gain_margins_are_those_that_a_search_finds() -> None:
     for loop in drawn_loops(40):
         for channel, margins in enumerate(loop.margins()):
             between = factors[
-                (factors > margins.gain_down * (1 + near)) & (factors < margins.gain_up * (1 - near))
+                (factors > margins.gain_down * (1 + near))
+                & (factors < margins.gain_up * (1 - near))
             ]
             assert sizes_at(loop, channel, between).max() < 1.0
-            for end, beyond in ((margins.gain_down, 1 - near), (margins.gain_up, 1 + near)):
+            for end, beyond in (
+                (margins.gain_down, 1 - near),
+                (margins.gain_up, 1 + near),
+            ):
                 if 1e-3 < end < 1e3:
                     assert sizes_at(loop, channel, np.array([end * beyond]))[0] > 1.0
                     acting = loop.plant.B.copy()
                     acting[:, channel] *= end
-                    eigenvalues = np.linalg.eigvals(loop._replace(plant=loop.plant._replace(B=acting)).matrix)
+                    eigenvalues = np.linalg.eigvals(
+                        loop._replace(plant=loop.plant._replace(B=acting)).matrix
+                    )
                     lost.add(
                         round(
-                            float(np.abs(np.angle(eigenvalues[np.argmax(np.abs(eigenvalues))])) * 2 / np.pi)
+                            float(
+                                np.abs(
+                                    np.angle(
+                                        eigenvalues[np.argmax(np.abs(eigenvalues))]
+                                    )
+                                )
+                                * 2
+                                / np.pi
+                            )
                         )
                     )
     assert lost >= {0, 2}  # through an eigenvalue at +1, at −1; a pair may be anywhere
@@ -304,7 +373,8 @@ def test_the_gain_margins_are_those_that_a_search_finds() -> None:
 @pytest.mark.parametrize(
     ("plant", "gains", "change"),
     [
-        (([[0.55]], [[1.1]], [[1.0]], 0.1), [0.6], 1.2),  # falls over unless 1.1·0.6·k > 0.55
+        # falls over unless 1.1·0.6·k > 0.55
+        (([[0.55]], [[1.1]], [[1.0]], 0.1), [0.6], 1.2),
         (([[-1 / 115, 0], [1 / 12, -1 / 12]], [[2.2 / 115], [0]], [[0, 1.0]], 1.0), [-0.25], 1 / 0.55),
         ((-np.eye(2) / 65, [[0.3 / 65, 0.85 / 65], [0.85 / 65, 0.3 / 65]], np.eye(2), 1.0), [0.9, 0.9],
          1.27 / (0.9 * (0.85**2 * 0.9 - 0.3 * 1.27))),
@@ -312,7 +382,9 @@ def test_the_gain_margins_are_those_that_a_search_finds() -> None:
     ids=["unstable plant", "wrong sign", "crossed"],
 )  # fmt: skip
 def test_a_loop_that_is_lost_without_swinging(
-    plant: tuple[np.ndarray, np.ndarray, np.ndarray, float], gains: list[float], change: float
+    plant: tuple[np.ndarray, np.ndarray, np.ndarray, float],
+    gains: list[float],
+    change: float,
 ) -> None:
     """A gain at which the loop has an eigenvalue at +1, where plant and law are at rest: in closed form."""
     a, b, c, period = (np.array(entry, dtype=float) for entry in plant)
@@ -328,22 +400,36 @@ def test_the_gaps_of_pure_double_integrators_are_those_of_their_polynomials() ->
     h = 0.05
     gains = (10.0, 10.5)
     step = np.array([[1.0, h], [0.0, 1.0]])
-    plants = [Linear(step, k * np.array([[h * h / 2], [h]]), np.eye(2)[:1], h, REST) for k in gains]
+    plants = [
+        Linear(step, k * np.array([[h * h / 2], [h]]), np.eye(2)[:1], h, REST)
+        for k in gains
+    ]
     exact = [control.tf([k * h * h / 2] * 2, [1.0, -2.0, 1.0], h) for k in gains]
-    law = pid_law([FilteredPid(proportional=3, integral=3, derivative=1.2, filter=0.1, **WIDE)], h)
+    law = pid_law(
+        [FilteredPid(proportional=3, integral=3, derivative=1.2, filter=0.1, **WIDE)], h
+    )
     spaces = [StateSpace.of(plant) for plant in plants]
     controller = StateSpace.of(law)
     assert matrix_nu_gap(*spaces) == pytest.approx(nu_gap(*exact), abs=1e-6)
     for unit in (1.0, 50.0):  # the search for units tries them far apart
-        scaling = best_scaling(spaces[0], spaces, controller, outputs=np.array([unit]), inputs=np.ones(1))
-        scaled = [transfer * float(scaling.inputs[0] / scaling.outputs[0]) for transfer in exact]
+        scaling = best_scaling(
+            spaces[0], spaces, controller, outputs=np.array([unit]), inputs=np.ones(1)
+        )
+        scaled = [
+            transfer * float(scaling.inputs[0] / scaling.outputs[0])
+            for transfer in exact
+        ]
         assert scaling.gap == pytest.approx(nu_gap(*scaled), abs=1e-6)
 
 
 def test_a_margin_without_a_value_is_one_error() -> None:
     """Gains of 1e-320 leave a matrix whose singular values are not found."""
-    tiny = dict.fromkeys(("proportional", "integral", "derivative", "back_calculation"), 1e-320)
+    tiny = dict.fromkeys(
+        ("proportional", "integral", "derivative", "back_calculation"), 1e-320
+    )
     plant = linearised(Peltier.model().typical(), 40.0, 1.0)
     loop = WholeLoop(plant, as_linear(PidGains(**tiny, low=-255.0, high=255.0)))
-    with pytest.raises(UndefinedError, match="the sensitivity of the loop has no value"):
+    with pytest.raises(
+        UndefinedError, match="the sensitivity of the loop has no value"
+    ):
         loop.sensitivity()

@@ -11,7 +11,8 @@ from tests.support.places import PROJECT
 NAMED = sorted(
     set(
         re.findall(
-            r"`?\b([\w./-]+/[\w.-]+\.(?:py|md|msg))\b", (PROJECT / "CONTRIBUTING.md").read_text("utf-8")
+            r"`?\b([\w./-]+/[\w.-]+\.(?:py|md|msg))\b",
+            (PROJECT / "CONTRIBUTING.md").read_text("utf-8"),
         )
     )
 )

@@ -18,7 +18,9 @@ from twinmatch.sampling.sources import SignalMap, SignalSource
 PAGE = (PROJECT / "docs" / "devices.md").read_text("utf-8")
 BLOCKS = dict(re.findall(r"^```yaml (\S+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
 [PLANT] = re.findall(
-    r"^```python room\.py\n(.*?)^```$", (PROJECT / "docs" / "mqtt.md").read_text("utf-8"), re.M | re.S
+    r"^```python room\.py\n(.*?)^```$",
+    (PROJECT / "docs" / "mqtt.md").read_text("utf-8"),
+    re.M | re.S,
 )
 UNITS = {"output": "°C", "input": "1"}
 PAYLOADS: dict[str, list[tuple[str, bytes]]] = {
@@ -31,21 +33,38 @@ PAYLOADS: dict[str, list[tuple[str, bytes]]] = {
             "zigbee2mqtt/bath",
             b'{"local_temperature": 20.5, "pi_heating_demand": null, "running_state": "heat"}',
         ),
-        ("zigbee2mqtt/bath", b'{"local_temperature": 20.5, "pi_heating_demand": 100, "child_lock": "LOCK"}'),
+        (
+            "zigbee2mqtt/bath",
+            b'{"local_temperature": 20.5, "pi_heating_demand": 100, "child_lock": "LOCK"}',
+        ),
     ],
-    "esphome": [("boiler/sensor/water/state", b"20.50"), ("boiler/climate/heater/action/state", b"HEATING")],
+    "esphome": [
+        ("boiler/sensor/water/state", b"20.50"),
+        ("boiler/climate/heater/action/state", b"HEATING"),
+    ],
     "shelly": [
-        ("shellyplus-ab/events/rpc", b'{"params": {"ts": 1.5, "temperature:100": {"id": 100, "tC": 20.5}}}'),
-        ("shellyplus-ab/events/rpc", b'{"params": {"ts": 1.5, "light:0": {"id": 0, "brightness": 100}}}'),
+        (
+            "shellyplus-ab/events/rpc",
+            b'{"params": {"ts": 1.5, "temperature:100": {"id": 100, "tC": 20.5}}}',
+        ),
+        (
+            "shellyplus-ab/events/rpc",
+            b'{"params": {"ts": 1.5, "light:0": {"id": 0, "brightness": 100}}}',
+        ),
     ],
     "tasmota": [
-        ("tele/tank/SENSOR", b'{"Time": "2025-01-01T00:00:00", "DS18B20": {"Temperature": 20.5}}'),
+        (
+            "tele/tank/SENSOR",
+            b'{"Time": "2025-01-01T00:00:00", "DS18B20": {"Temperature": 20.5}}',
+        ),
         ("stat/tank/POWER", b"ON"),
     ],
 }
 
 
-def sources_in(name: str, folder: Path) -> tuple[dict[str, SignalSource], dict[str, Any]]:
+def sources_in(
+    name: str, folder: Path
+) -> tuple[dict[str, SignalSource], dict[str, Any]]:
     """The sources of a device's three lines in the page's file, and the parameters."""
     (folder / "room.py").write_text(PLANT.replace("warm_room", f"warm_room_{name}"))
     frame = BLOCKS["rig.yaml"].replace("room.py", str(folder / "room.py"))
@@ -55,7 +74,9 @@ def sources_in(name: str, folder: Path) -> tuple[dict[str, SignalSource], dict[s
         return sources_of("rig", values), dict(values)
 
 
-def value_of(source: SignalSource, channel: Channel, unit: str, messages: list[tuple[str, bytes]]) -> float:
+def value_of(
+    source: SignalSource, channel: Channel, unit: str, messages: list[tuple[str, bytes]]
+) -> float:
     """The newest number that a source has from some messages."""
     numbers = []
     for topic, payload in messages:
@@ -67,7 +88,9 @@ def value_of(source: SignalSource, channel: Channel, unit: str, messages: list[t
 
 
 @pytest.mark.parametrize("name", PAYLOADS)
-def test_three_lines_read_what_such_a_device_publishes(name: str, tmp_path: Path) -> None:
+def test_three_lines_read_what_such_a_device_publishes(
+    name: str, tmp_path: Path
+) -> None:
     sources, _ = sources_in(name, tmp_path)
     values = {}
     for signal, source in sources.items():
@@ -83,8 +106,13 @@ def test_three_lines_read_the_registers_of_a_heat_pump(tmp_path: Path) -> None:
     for signal, unit in (("output", "°C"), ("input", "kW")):
         source = sources[signal]
         channels = source.channels(signal, registers.parse_place)
-        numbers = [source.number(registers.number_at(words, channel), unit) for channel in channels]
-        values[signal] = source.follow(signal, unit, channels, [""] * len(channels)).value(numbers, 0.0)
+        numbers = [
+            source.number(registers.number_at(words, channel), unit)
+            for channel in channels
+        ]
+        values[signal] = source.follow(
+            signal, unit, channels, [""] * len(channels)
+        ).value(numbers, 0.0)
     assert values == {"output": pytest.approx(20.5), "input": pytest.approx(0.008)}
 
 

@@ -28,7 +28,9 @@ def examples() -> list[tuple[str, str]]:
         blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
         name = str(page.relative_to(PROJECT))
         runnable += [
-            (f"{name} #{k}", block) for k, block in enumerate(blocks, 1) if not NEEDS_ROS.search(block)
+            (f"{name} #{k}", block)
+            for k, block in enumerate(blocks, 1)
+            if not NEEDS_ROS.search(block)
         ]
     return runnable
 
@@ -36,7 +38,9 @@ def examples() -> list[tuple[str, str]]:
 def modules() -> dict[str, str]:
     """The modules that examples may import, by the names of their files."""
     fenced = re.compile(r"^```python (\w+\.py)\n(.*?)^```", re.DOTALL | re.MULTILINE)
-    return {name: code for text in PAGES.values() for name, code in fenced.findall(text)}
+    return {
+        name: code for text in PAGES.values() for name, code in fenced.findall(text)
+    }
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +58,9 @@ def test_examples_of_the_readme_are_among_those_that_are_run() -> None:
 
 
 @pytest.mark.usefixtures("_modules")
-@pytest.mark.parametrize(("name", "code"), examples(), ids=[name for name, _ in examples()])
+@pytest.mark.parametrize(
+    ("name", "code"), examples(), ids=[name for name, _ in examples()]
+)
 def test_each_example_runs_and_prints_what_it_says(
     name: str, code: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -36,7 +36,13 @@ def page(name: str) -> str:
 
 def files_of(text: str) -> dict[str, str]:
     """The files that a page gives, by their names."""
-    return dict(re.findall(r"^```(?:python|yaml) (\w+\.\w+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL))
+    return dict(
+        re.findall(
+            r"^```(?:python|yaml) (\w+\.\w+)\n(.*?)^```$",
+            text,
+            re.MULTILINE | re.DOTALL,
+        )
+    )
 
 
 def said(text: str, pattern: str) -> float:
@@ -52,7 +58,9 @@ class EndOfTimeError(Exception):
 class Home:
     """Messages of the page's home, step by step, without waiting."""
 
-    def __init__(self, program: str, steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(
+        self, program: str, steps: int, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         self.now: dict[str, bytes] = {}
         self.steps: list[dict[str, bytes]] = []
         monkeypatch.setattr(paho.mqtt.client, "Client", lambda _: self)
@@ -107,12 +115,18 @@ def samples_of(steps: list[dict[str, bytes]], folder: Path) -> Iterator[Sample]:
         numbers = {}
         for signal, source in sources.items():
             [channel] = source.channels(signal, payloads.parse_place)
-            value = payloads.value_at(payloads.document_of(messages[channel.topic]), channel.path)
+            value = payloads.value_at(
+                payloads.document_of(messages[channel.topic]), channel.path
+            )
             assert value is not None
             number = source.number(value, units[signal])
-            numbers[signal] = source.follow(signal, units[signal], [channel], [""]).value([number], 0.0)
+            numbers[signal] = source.follow(
+                signal, units[signal], [channel], [""]
+            ).value([number], 0.0)
         reading = numbers["output"]
-        yield Sample(index, index, reading, reading, numbers["input"], (numbers["outside"],))
+        yield Sample(
+            index, index, reading, reading, numbers["input"], (numbers["outside"],)
+        )
 
 
 def judged_home(program: str, period: float, steps: int, folder: Path) -> Outcomes:
@@ -130,14 +144,24 @@ def judged_home(program: str, period: float, steps: int, folder: Path) -> Outcom
         return Outcomes(samples_of(published, folder), settings)
 
 
-def test_the_home_on_the_page_of_mqtt_is_matched_and_trusted_when_the_page_says(tmp_path: Path) -> None:
+def test_the_home_on_the_page_of_mqtt_is_matched_and_trusted_when_the_page_says(
+    tmp_path: Path,
+) -> None:
     """Its capacity in the page's plant file is 150 times too large."""
     text = page("mqtt.md")
     period = said(text, r"With `home.py`, [^`]* add `--period ([\d.]+)`")
-    outcomes = judged_home(files_of(text)["home.py"], period, round(240.0 / period), tmp_path)
-    assert outcomes.first["verdict"] <= said(text, r"the first verdict comes\s+after (\d+) seconds")
-    assert outcomes.first["match"] <= 60.0 * said(text, r"the first match within (\w+) minutes")
-    assert outcomes.first["trust"] <= 60.0 * said(text, r"the twin is trusted within (\w+)\.")
+    outcomes = judged_home(
+        files_of(text)["home.py"], period, round(240.0 / period), tmp_path
+    )
+    assert outcomes.first["verdict"] <= said(
+        text, r"the first verdict comes\s+after (\d+) seconds"
+    )
+    assert outcomes.first["match"] <= 60.0 * said(
+        text, r"the first match within (\w+) minutes"
+    )
+    assert outcomes.first["trust"] <= 60.0 * said(
+        text, r"the twin is trusted within (\w+)\."
+    )
 
 
 def test_the_room_on_that_page_is_trusted_when_the_page_says(tmp_path: Path) -> None:
@@ -147,9 +171,18 @@ def test_the_room_on_that_page_is_trusted_when_the_page_says(tmp_path: Path) -> 
     assert step == 0.1
     program = files_of(text)["home.py"].replace("0.03):.2f}", "0.03):.1f}")
     assert program != files_of(text)["home.py"]
-    trusted_after = 60.0 * said(text, r"the twin of this room is trusted after (\d+) minutes")
-    outcomes = judged_home(program, config["period"], round(1.2 * trusted_after / config["period"]), tmp_path)
-    assert outcomes.first["verdict"] <= 60.0 * said(text, r"The first verdict comes after (\w+) minutes")
+    trusted_after = 60.0 * said(
+        text, r"the twin of this room is trusted after (\d+) minutes"
+    )
+    outcomes = judged_home(
+        program,
+        config["period"],
+        round(1.2 * trusted_after / config["period"]),
+        tmp_path,
+    )
+    assert outcomes.first["verdict"] <= 60.0 * said(
+        text, r"The first verdict comes after (\w+) minutes"
+    )
     assert outcomes.first["trust"] <= 1.05 * trusted_after
     share = said(text, r"finds its 1200 W\s+and 2·10⁵ J/K to (\d+) %") / 100.0
     assert outcomes.found["power"] == pytest.approx(1200.0, rel=share)
@@ -159,7 +192,9 @@ def test_the_room_on_that_page_is_trusted_when_the_page_says(tmp_path: Path) -> 
 class Oven:
     """What the page's rig publishes, sample by sample, without waiting and without ROS."""
 
-    def __init__(self, program: str, steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(
+        self, program: str, steps: int, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         self.published: list[list[float]] = []
         self._now = 0.0
         self._steps = steps
@@ -203,7 +238,9 @@ def test_the_oven_on_the_page_of_attach_is_matched_after_two_steps(
     files = files_of(text)
     holds = said(files["oven_rig.py"], r"tick // (\d+) % 2")
     with monkeypatch.context() as patch:
-        published = Oven(files["oven_rig.py"], round((steps + 1) * holds), patch).published
+        published = Oven(
+            files["oven_rig.py"], round((steps + 1) * holds), patch
+        ).published
     (tmp_path / "oven.py").write_text(files["oven.py"], encoding="utf-8")
     period = said(text, r"--plant oven.py --period ([\d.]+)")
     with no_plant_files():
@@ -214,16 +251,29 @@ def test_the_oven_on_the_page_of_attach_is_matched_after_two_steps(
         )
         outcomes = Outcomes(samples, settings)
     assert outcomes.first["match"] <= (steps + 1) * holds * period
-    assert outcomes.found["gain"] / outcomes.found["capacity"] == pytest.approx(0.5 / 4.0, rel=0.05)
+    assert outcomes.found["gain"] / outcomes.found["capacity"] == pytest.approx(
+        0.5 / 4.0, rel=0.05
+    )
 
 
 def test_the_kit_is_matched_after_as_many_minutes_as_its_page_says() -> None:
     """The simulated kit of the package, under the loop and the set-points that are shipped."""
-    pytest.importorskip("tclab", reason="the simulated kit is not installed; it is in the extra 'tclab'")
-    minutes = said(page("tclab.md"), r"After the second level, some (\d+) minutes, there is a first match")
-    config = yaml.safe_load((PROJECT / "config" / "tclab.yaml").read_text())["controller"]["ros__parameters"]
-    levels = np.repeat(config["profile.levels"], np.array(config["profile.holds"], dtype=int))
+    pytest.importorskip(
+        "tclab", reason="the simulated kit is not installed; it is in the extra 'tclab'"
+    )
+    minutes = said(
+        page("tclab.md"),
+        r"After the second level, some (\d+) minutes, there is a first match",
+    )
+    config = yaml.safe_load((PROJECT / "config" / "tclab.yaml").read_text())[
+        "controller"
+    ]["ros__parameters"]
+    levels = np.repeat(
+        config["profile.levels"], np.array(config["profile.holds"], dtype=int)
+    )
     samples = run(Simulated(3), levels[: round(60.0 * (minutes + 1.0))])
-    outcomes = Outcomes(iter(samples), read_settings(PROJECT / "config" / "tclab_twin.yaml"))
+    outcomes = Outcomes(
+        iter(samples), read_settings(PROJECT / "config" / "tclab_twin.yaml")
+    )
     assert outcomes.first["match"] <= 60.0 * (minutes + 1.0)
     assert outcomes.first["leader"] <= 60.0 * (minutes + 1.0)

@@ -13,9 +13,15 @@ from types import ModuleType
 
 import pytest
 
-MISSING = [name for name in ("sphinx", "myst_nb", "furo") if importlib.util.find_spec(name) is None]
+MISSING = [
+    name
+    for name in ("sphinx", "myst_nb", "furo")
+    if importlib.util.find_spec(name) is None
+]
 pytestmark = [
-    pytest.mark.skipif(bool(MISSING), reason=f"{MISSING} not installed; they are in the extra 'docs'"),
+    pytest.mark.skipif(
+        bool(MISSING), reason=f"{MISSING} not installed; they are in the extra 'docs'"
+    ),
     pytest.mark.long("builds the whole site, and runs its notebook"),
 ]
 
@@ -30,17 +36,33 @@ sys.exit(main())
 """
 """As `python -m sphinx`, but without an index of all words, and looking less often for circles among millions
 of nodes."""
-ROOMS = sorted(page.stem for page in (DOCS / "api").glob("*.md") if page.stem != "index")
+ROOMS = sorted(
+    page.stem for page in (DOCS / "api").glob("*.md") if page.stem != "index"
+)
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Without a theme, sources and the objects in the tables of contents, which take half of the time."""
     folder = tmp_path_factory.mktemp("site")
-    plain = ("toc_object_entries=0", "html_theme=basic", "html_copy_source=0", "html_use_index=0")
+    plain = (
+        "toc_object_entries=0",
+        "html_theme=basic",
+        "html_copy_source=0",
+        "html_use_index=0",
+    )
     options = [word for setting in plain for word in ("-D", setting)]
     places = ["-d", folder / "trees", DOCS, folder / "html"]
-    command = [sys.executable, "-c", BUILD, "-q", "-W", "--keep-going", *options, *places]
+    command = [
+        sys.executable,
+        "-c",
+        BUILD,
+        "-q",
+        "-W",
+        "--keep-going",
+        *options,
+        *places,
+    ]
     completed = subprocess.run(command, capture_output=True, text=True, check=False)
     assert completed.returncode == 0, completed.stderr
     return folder / "html"
@@ -49,7 +71,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def is_public(module: ModuleType, name: str, member: object) -> bool:
     """Whether a class or function is listed by its room, or defined in a file that has no list."""
     listed = getattr(module, "__all__", None)
-    is_defined_here = getattr(member, "__module__", "") == module.__name__ and not name.startswith("_")
+    is_defined_here = getattr(
+        member, "__module__", ""
+    ) == module.__name__ and not name.startswith("_")
     return (inspect.isclass(member) or inspect.isfunction(member)) and (
         is_defined_here if listed is None else name in listed
     )
@@ -58,14 +82,18 @@ def is_public(module: ModuleType, name: str, member: object) -> bool:
 def test_every_page_is_there(site: Path) -> None:
     """And can be found from the first: Sphinx warns of one that is in no table of contents."""
     pages = [*DOCS.rglob("*.md"), *DOCS.rglob("*.ipynb")]
-    assert all((site / page.relative_to(DOCS).with_suffix(".html")).is_file() for page in pages)
+    assert all(
+        (site / page.relative_to(DOCS).with_suffix(".html")).is_file() for page in pages
+    )
     assert "orphan" not in "".join(page.read_text("utf-8")[:200] for page in pages)
 
 
 def described_and_offered(site: Path, room: str) -> tuple[set[str], set[str]]:
     """Classes and functions on a room's page, and those of the modules that the page names: a room, or those
     files of it that others import from."""
-    modules = re.findall(r"automodule:: (\S+)", (DOCS / "api" / f"{room}.md").read_text("utf-8"))
+    modules = re.findall(
+        r"automodule:: (\S+)", (DOCS / "api" / f"{room}.md").read_text("utf-8")
+    )
     page = html.unescape((site / "api" / f"{room}.html").read_text("utf-8"))
     described = set(re.findall(r'id="(twinmatch\.[\w.]+)"', page))
     offered = {

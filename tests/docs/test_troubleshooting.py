@@ -28,14 +28,20 @@ SIGALRM = 128 + 14
 
 
 def section(title: str) -> str:
-    matched = re.search(rf"^## {re.escape(title)}\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL)
+    matched = re.search(
+        rf"^## {re.escape(title)}\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL
+    )
     assert matched, f"the page has no section {title!r}"
     return matched[1]
 
 
 def rows(text: str) -> list[list[str]]:
     cells = [cells_of(line) for line in text.splitlines() if line.startswith("|")]
-    return [line for line in cells if not re.fullmatch(r"it says|code|-+", line[0].split("|")[0])]
+    return [
+        line
+        for line in cells
+        if not re.fullmatch(r"it says|code|-+", line[0].split("|")[0])
+    ]
 
 
 def cells_of(line: str) -> list[str]:
@@ -43,7 +49,11 @@ def cells_of(line: str) -> list[str]:
 
 
 def first_words(title: str) -> list[str]:
-    return [word for row in rows(section(title)) for word in re.findall(r"`([^`]+)`", row[0])]
+    return [
+        word
+        for row in rows(section(title))
+        for word in re.findall(r"`([^`]+)`", row[0])
+    ]
 
 
 @pytest.mark.parametrize(
@@ -55,30 +65,51 @@ def first_words(title: str) -> list[str]:
         ("Latched faults of the bridges", FaultKind),
     ],
 )
-def test_every_word_that_is_recorded_has_a_row_and_there_is_no_other(title: str, kind: type[Enum]) -> None:
+def test_every_word_that_is_recorded_has_a_row_and_there_is_no_other(
+    title: str, kind: type[Enum]
+) -> None:
     single = {word for word in first_words(title) if " " not in word}
     assert single == {member.value for member in kind}
 
 
 def test_every_level_of_diagnostics_has_a_row() -> None:
-    diagnostics = pytest.importorskip("twinmatch.nodes.health", reason="ROS 2 is not installed")
-    single = {word for word in first_words("Health of the nodes") if word.isupper() and " " not in word}
+    diagnostics = pytest.importorskip(
+        "twinmatch.nodes.health", reason="ROS 2 is not installed"
+    )
+    single = {
+        word
+        for word in first_words("Health of the nodes")
+        if word.isupper() and " " not in word
+    }
     assert single == {level.name for level in diagnostics.Level}
 
 
 def test_states_and_fates_are_explained() -> None:
-    assert all(f"`{state.value}`" in section("Health of the plant") for state in HealthState)
-    assert all(f"`{fate}`" in section("Matches: admitted or refused") for fate in (ADMITTED, REFUSED))
+    assert all(
+        f"`{state.value}`" in section("Health of the plant") for state in HealthState
+    )
+    assert all(
+        f"`{fate}`" in section("Matches: admitted or refused")
+        for fate in (ADMITTED, REFUSED)
+    )
 
 
 def exit_codes(tree: ast.AST) -> Iterator[int]:
     """Numbers that a module names EXIT_…, passes as exit code, or returns from a `run` or `main`."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant):
-            named = any(isinstance(t, ast.Name) and t.id.startswith("EXIT_") for t in node.targets)
+            named = any(
+                isinstance(t, ast.Name) and t.id.startswith("EXIT_")
+                for t in node.targets
+            )
             if named and isinstance(node.value.value, int):
                 yield node.value.value
-        elif isinstance(node, ast.FunctionDef) and node.name in {"run", "main", "exit_code", "_run"}:
+        elif isinstance(node, ast.FunctionDef) and node.name in {
+            "run",
+            "main",
+            "exit_code",
+            "_run",
+        }:
             for inner in ast.walk(node):
                 if isinstance(inner, ast.Return) and inner.value is not None:
                     yield from (
@@ -121,12 +152,16 @@ def said() -> Said:
 def test_every_exit_code_has_a_row_and_there_is_no_other(said: Said) -> None:
     used_codes = said.codes
     assert {0, 1, 2, 3, 4, 130} <= used_codes
-    assert {int(row[0]) for row in rows(section("Exit codes"))} == used_codes | {SIGALRM}
+    assert {int(row[0]) for row in rows(section("Exit codes"))} == used_codes | {
+        SIGALRM
+    }
 
 
 def test_an_exit_code_that_is_new_would_be_found() -> None:
     assert list(exit_codes(ast.parse("EXIT_LATE = 7"))) == [7]
-    assert list(exit_codes(ast.parse("def run(options):\n    return 0 if options else 9"))) == [0, 9]
+    assert list(
+        exit_codes(ast.parse("def run(options):\n    return 0 if options else 9"))
+    ) == [0, 9]
 
 
 QUOTED = [
@@ -152,7 +187,9 @@ def test_what_is_not_said_would_be_found(said: Said) -> None:
     assert not re.search(re.escape("the flux capacitor is at fault"), said.sentences)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/dashboard.md", "docs/health.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", "docs/index.md", "docs/dashboard.md", "docs/health.md"]
+)
 def test_the_page_is_linked(page: str) -> None:
     text = (PROJECT / page).read_text("utf-8")
     name = Path("docs/troubleshooting.md").relative_to(Path(page).parent)

@@ -17,32 +17,47 @@ import pytest
 from tests.support.places import PROJECT
 from tests.support.processes import run_twinmatch
 
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
 
 from twinmatch.showing.foxglove.layout import TOPICS
 
 PAGE = PROJECT / "docs" / "your_plant.md"
 HOT_END, ROOM, CELL, PLATE = (
-    PROJECT / "docs" / f"{name}.md" for name in ("hot_end", "room", "cell", "uniformity")
+    PROJECT / "docs" / f"{name}.md"
+    for name in ("hot_end", "room", "cell", "uniformity")
 )
 
 WHOLE_PAGE = "every command of a page, with hours or days of its plant"
 
 
 def commands(page: Path) -> list[list[str]]:
-    blocks = re.findall(r"^```console\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    return [shlex.split(line.removeprefix("$ ")) for block in blocks for line in block.splitlines()]
+    blocks = re.findall(
+        r"^```console\n(.*?)^```",
+        page.read_text(encoding="utf-8"),
+        re.DOTALL | re.MULTILINE,
+    )
+    return [
+        shlex.split(line.removeprefix("$ "))
+        for block in blocks
+        for line in block.splitlines()
+    ]
 
 
 def files(page: Path, folder: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    for name, code in re.findall(r"^```python (\w+\.py)\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+    for name, code in re.findall(
+        r"^```python (\w+\.py)\n(.*?)^```", text, re.DOTALL | re.MULTILINE
+    ):
         (folder / name).write_text(code, encoding="utf-8")
 
 
 def python(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, check=False
+    )
 
 
 def followed(page: Path, folder: Path) -> list[tuple[list[str], int, str]]:
@@ -56,7 +71,9 @@ def followed(page: Path, folder: Path) -> list[tuple[list[str], int, str]]:
         else:
             completed = python(*arguments, folder=folder)
         assert "Traceback" not in completed.stderr, completed.stderr
-        results.append((arguments, completed.returncode, completed.stdout + completed.stderr))
+        results.append(
+            (arguments, completed.returncode, completed.stdout + completed.stderr)
+        )
     return results
 
 
@@ -72,22 +89,42 @@ def test_a_lead_that_breaks_has_its_name_in_the_last_line(tmp_path: Path) -> Non
     assert all(fault_text.startswith("drift from 21") for fault_text in before), (
         "until losses and drive are told apart"
     )
-    parameters = dict(re.findall(r"(power|losses|blown|lag) ([\d.]+) (?:m?W/%|W/K|mW/K|s)", results[-1][2]))
+    parameters = dict(
+        re.findall(
+            r"(power|losses|blown|lag) ([\d.]+) (?:m?W/%|W/K|mW/K|s)", results[-1][2]
+        )
+    )
     wanted = {"power": 0.4, "losses": 0.07, "blown": 40.0, "lag": 4.0}
-    assert {name: float(value) for name, value in parameters.items()} == pytest.approx(wanted, rel=0.05)
+    assert {name: float(value) for name, value in parameters.items()} == pytest.approx(
+        wanted, rel=0.05
+    )
 
 
 @pytest.mark.long(WHOLE_PAGE)
 def test_a_room_lacks_a_store_and_then_names_an_open_window(tmp_path: Path) -> None:
     (_, lacking, asked), *results_after = followed(ROOM, tmp_path)
     assert lacking == 1
-    assert re.search("a second store beside air of about [0-9.]+ h would explain 9.%", asked)
+    assert re.search(
+        "a second store beside air of about [0-9.]+ h would explain 9.%", asked
+    )
     assert all(code == 0 for _, code, _ in results_after), results_after
     last = results_after[-1][2]
-    assert re.search(r"Faults: losses-changed from 98\d\d\d\d to 10[12]\d\d\d\d s", last)
-    parameters = dict(re.findall(r"(capacity|mass|losses|surface|shell) ([\d.]+) (?:J/K|W/K)", last))
-    wanted = {"capacity": 8e5, "mass": 6e6, "losses": 12.0, "surface": 150.0, "shell": 20.0}
-    assert {name: float(value) for name, value in parameters.items()} == pytest.approx(wanted, rel=0.1)
+    assert re.search(
+        r"Faults: losses-changed from 98\d\d\d\d to 10[12]\d\d\d\d s", last
+    )
+    parameters = dict(
+        re.findall(r"(capacity|mass|losses|surface|shell) ([\d.]+) (?:J/K|W/K)", last)
+    )
+    wanted = {
+        "capacity": 8e5,
+        "mass": 6e6,
+        "losses": 12.0,
+        "surface": 150.0,
+        "shell": 20.0,
+    }
+    assert {name: float(value) for name, value in parameters.items()} == pytest.approx(
+        wanted, rel=0.1
+    )
 
 
 @pytest.mark.long(WHOLE_PAGE)
@@ -96,13 +133,21 @@ def test_a_contactor_that_opens_under_a_cell_is_a_lost_drive(tmp_path: Path) -> 
     results = followed(CELL, tmp_path)
     assert all(code == 0 for _, code, _ in results), results
     last = results[-1][2]
-    named = re.search(r"^(\d+) +fault .*\n +drive-lost: the drive has no effect", last, re.MULTILINE)
+    named = re.search(
+        r"^(\d+) +fault .*\n +drive-lost: the drive has no effect", last, re.MULTILINE
+    )
     assert named is not None
     assert 5000 < int(named[1]) <= 5060
-    assert re.search(r"Faults: drive-lost from 49\d\d to 51\d\d s; drive-lost from 51\d\d", last)
-    parameters = dict(re.findall(r"\b(slope|r|r1|t1) ([\d.]+) (?:mV/\(A h\)|mΩ|s)", last))
+    assert re.search(
+        r"Faults: drive-lost from 49\d\d to 51\d\d s; drive-lost from 51\d\d", last
+    )
+    parameters = dict(
+        re.findall(r"\b(slope|r|r1|t1) ([\d.]+) (?:mV/\(A h\)|mΩ|s)", last)
+    )
     wanted = {"slope": 22.0, "r": 2.0, "r1": 1.0, "t1": 20.0}
-    assert {name: float(value) for name, value in parameters.items()} == pytest.approx(wanted, rel=0.05)
+    assert {name: float(value) for name, value in parameters.items()} == pytest.approx(
+        wanted, rel=0.05
+    )
 
 
 @pytest.mark.long(WHOLE_PAGE)
@@ -110,7 +155,9 @@ def test_a_heater_that_comes_loose_under_an_even_plate_is_named(tmp_path: Path) 
     """What is said before is what the page quotes; afterwards 0.6 of the right heater's power is left."""
     results = followed(PLATE, tmp_path)
     assert all(code == 0 for _, code, _ in results), results
-    for quoted in re.findall(r"^> `(.*)`$", PLATE.read_text(encoding="utf-8"), re.MULTILINE)[:1]:
+    for quoted in re.findall(
+        r"^> `(.*)`$", PLATE.read_text(encoding="utf-8"), re.MULTILINE
+    )[:1]:
         assert quoted in results[0][2]
     named = re.search(
         r"^(\d+) +fault .*\n +drive-weak of right heater: right heater has (\d+)% of its effect",
@@ -129,8 +176,12 @@ def test_a_heater_that_comes_loose_under_an_even_plate_is_named(tmp_path: Path) 
 
 def test_the_page_leads_from_a_table_to_a_verdict(tmp_path: Path) -> None:
     results = followed(PAGE, tmp_path)
-    looked = [(code, text) for arguments, code, text in results if "--data" in arguments]
-    other_results = [(arguments, code) for arguments, code, _ in results if "--data" not in arguments]
+    looked = [
+        (code, text) for arguments, code, text in results if "--data" in arguments
+    ]
+    other_results = [
+        (arguments, code) for arguments, code, _ in results if "--data" not in arguments
+    ]
     assert all(code == 0 for _, code in other_results), other_results
     ((code, text),) = looked
     assert code == 0
@@ -139,7 +190,9 @@ def test_the_page_leads_from_a_table_to_a_verdict(tmp_path: Path) -> None:
     assert {name: float(value) for name, value in parameters.items()} == pytest.approx(
         {"gain": 0.45, "lag": 180.0, "sensor_lag": 12.0}, rel=0.02
     )
-    assert re.search("^Leader: .*trust it .* s ahead between", results[-1][2], re.MULTILINE)
+    assert re.search(
+        "^Leader: .*trust it .* s ahead between", results[-1][2], re.MULTILINE
+    )
 
 
 # The notebook runs from its first to its last cell, without a warning, and finds what it shows.
@@ -179,7 +232,9 @@ def shown() -> Any:
 def run(shown: Any) -> Any:
     """The notebook executed again, with warnings as errors and a question at its end."""
     notebook = nbformat.reads(nbformat.writes(shown), as_version=4)
-    strict = nbformat.v4.new_code_cell("import warnings\nwarnings.simplefilter('error')")
+    strict = nbformat.v4.new_code_cell(
+        "import warnings\nwarnings.simplefilter('error')"
+    )
     notebook.cells = [strict, *notebook.cells, nbformat.v4.new_code_cell(ASK)]
     resources = {"metadata": {"path": str(NOTEBOOK.parent)}}
     return nbclient.NotebookClient(
@@ -188,7 +243,9 @@ def run(shown: Any) -> Any:
 
 
 def outputs(cell: Any, kind: str) -> str:
-    return "".join(o.get("text", "") for o in cell.get("outputs", []) if o.get("name") == kind)
+    return "".join(
+        o.get("text", "") for o in cell.get("outputs", []) if o.get("name") == kind
+    )
 
 
 def test_it_is_shipped_executed_with_its_pictures_and_stays_small(shown: Any) -> None:
@@ -258,7 +315,9 @@ def test_it_is_a_number_with_a_stamp(name: str) -> None:
     kind = TOPICS[topic].replace("/msg/", "/")
     for number, field in enumerate(fields.split("/")):
         package, short = kind.split("/")
-        field_types = getattr(importlib.import_module(f"{package}.msg"), short).get_fields_and_field_types()
+        field_types = getattr(
+            importlib.import_module(f"{package}.msg"), short
+        ).get_fields_and_field_types()
         assert number or field_types["header"] == "std_msgs/Header"
         kind = field_types[field.split("[")[0]]
         if "[" in field:

@@ -43,7 +43,18 @@ RUNS = 1500
 
 @compiled
 def noisy_run(  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    code, vector, states, first, usual, law, memory, references, noise, strays, period, steps
+    code,
+    vector,
+    states,
+    first,
+    usual,
+    law,
+    memory,
+    references,
+    noise,
+    strays,
+    period,
+    steps,
 ):
     """Readings and commands of a loop whose states stray at every sample."""
     work = work_for(code, vector)
@@ -71,12 +82,20 @@ def drawn_at_random(case: Case, inputs: Array | None) -> Array:
     rng = np.random.default_rng(11)
     n = len(base.model.states)
     size = reference.size
-    law, memory = (gains.code, np.array(first["controller"])) if inputs is None else (NO_LAW, np.zeros(0))
+    law, memory = (
+        (gains.code, np.array(first["controller"]))
+        if inputs is None
+        else (NO_LAW, np.zeros(0))
+    )
     references = (reference if inputs is None else inputs)[:, None]
     spread = np.asarray(drift) * math.sqrt(gains.period)
     drawn = np.empty((2, RUNS, size))
-    for run, moved in enumerate(rng.multivariate_normal(np.zeros(joint.shape[0]), joint, RUNS)):
-        plant = base.replace(**{name: base[name] + moved[n + j] for j, name in enumerate(unsure)})
+    for run, moved in enumerate(
+        rng.multivariate_normal(np.zeros(joint.shape[0]), joint, RUNS)
+    ):
+        plant = base.replace(
+            **{name: base[name] + moved[n + j] for j, name in enumerate(unsure)}
+        )
         strays = spread * rng.standard_normal((size, n))
         noise = base.model.plant.output.noise * rng.standard_normal(size)
         drawn[:, run] = base.model.kernels.call(
@@ -87,10 +106,14 @@ def drawn_at_random(case: Case, inputs: Array | None) -> Array:
     return drawn
 
 
-def scattered(unsure: Sequence[str], base: Parameters, states: Array, share: float) -> Array:
+def scattered(
+    unsure: Sequence[str], base: Parameters, states: Array, share: float
+) -> Array:
     """A joint covariance in which everything has to do with everything; parameters are known to a share."""
     rng = np.random.default_rng(5)
-    sizes = np.array([*states, *(share * base.model.declared[name].scale for name in unsure)])
+    sizes = np.array(
+        [*states, *(share * base.model.declared[name].scale for name in unsure)]
+    )
     mixed = rng.standard_normal((sizes.size, 2 * sizes.size))
     correlated = mixed @ mixed.T
     root = np.sqrt(np.diag(correlated))
@@ -106,9 +129,21 @@ def peltier_case(model: Any) -> Case:
     n = len(model.states)
     joint = scattered(unsure, base, [0.05, 0.3][:n], 0.02)
     at_rest = rest_at(base, 45.0)
-    first = {"states": at_rest.states, "input": at_rest.input, "controller": PidState(at_rest.input, 0.0)}
+    first = {
+        "states": at_rest.states,
+        "input": at_rest.input,
+        "controller": PidState(at_rest.input, 0.0),
+    }
     reference = np.concatenate([np.full(40, 45.0), np.full(110, 47.0)])
-    return base, unsure, joint, np.array([0.02, 0.03][:n]), first, law_of(Peltier, 1.0), reference
+    return (
+        base,
+        unsure,
+        joint,
+        np.array([0.02, 0.03][:n]),
+        first,
+        law_of(Peltier, 1.0),
+        reference,
+    )
 
 
 def motor_case(share: float = 0.02, high: float = 24.0) -> Case:
@@ -116,25 +151,51 @@ def motor_case(share: float = 0.02, high: float = 24.0) -> Case:
     unsure = ["k", "j", "dry"]
     joint = scattered(unsure, base, [0.3], share)
     at_rest = rest_at(base, 100.0)
-    first = {"states": at_rest.states, "input": at_rest.input, "controller": PidState(at_rest.input, 0.0)}
+    first = {
+        "states": at_rest.states,
+        "input": at_rest.input,
+        "controller": PidState(at_rest.input, 0.0),
+    }
     gains = dataclasses.replace(law_of(Motor, 0.05), high=high)
-    return base, unsure, joint, np.array([0.5]), first, gains, np.repeat([100.0, 130.0], 60)
+    return (
+        base,
+        unsure,
+        joint,
+        np.array([0.5]),
+        first,
+        gains,
+        np.repeat([100.0, 130.0], 60),
+    )
 
 
 def tank_case() -> Case:
     base = Tank.model().parameters()
     unsure = ["hole", "area"]
     at_rest = rest_at(base, 1.2)
-    first = {"states": at_rest.states, "input": at_rest.input, "controller": PidState(at_rest.input, 0.0)}
+    first = {
+        "states": at_rest.states,
+        "input": at_rest.input,
+        "controller": PidState(at_rest.input, 0.0),
+    }
     gains = law_of(Tank, 1.0)
     joint = scattered(unsure, base, [0.03], 0.01)
-    return base, unsure, joint, np.array([0.03]), first, gains, np.repeat([1.2, 1.5], [20, 60])
+    return (
+        base,
+        unsure,
+        joint,
+        np.array([0.03]),
+        first,
+        gains,
+        np.repeat([1.2, 1.5], [20, 60]),
+    )
 
 
 def foretold(case: Case, inputs: Array | None) -> LoopForecast:
     """The same by small movements."""
     base, unsure, joint, drift, first, gains, reference = case
-    loop = {"reference": reference, "law": gains} if inputs is None else {"inputs": inputs}
+    loop = (
+        {"reference": reference, "law": gains} if inputs is None else {"inputs": inputs}
+    )
     return forecast_loop(
         base, covariance=joint, drift=drift, unsure=unsure, period=gains.period, **first, **loop,
     )  # fmt: skip
@@ -165,7 +226,11 @@ def test_they_are_for_inputs_that_are_known() -> None:
     case = peltier_case(MASSIVE)
     inputs = np.repeat([60.0, -20.0, 90.0], 50)
     forecast = foretold(case, inputs)
-    agree(drawn_at_random(case, inputs)[0], forecast.outputs[:, 0], forecast.output_variances[:, 0])
+    agree(
+        drawn_at_random(case, inputs)[0],
+        forecast.outputs[:, 0],
+        forecast.output_variances[:, 0],
+    )
     np.testing.assert_array_equal(forecast.input_variances[:, 0], 0.0)
 
 
@@ -179,8 +244,15 @@ def test_they_are_where_the_controller_is_on_its_limit() -> None:
     limited = forecast.inputs[:, 0] == case[5].high
     assert limited.sum() >= 3
     np.testing.assert_array_equal(forecast.input_variances[:, 0][limited], 0.0)
-    clear = case[5].high - forecast.inputs[:, 0] > 4.0 * np.sqrt(forecast.input_variances[:, 0])
-    agree(commands[:, clear], forecast.inputs[:, 0][clear], forecast.input_variances[:, 0][clear], most=0.4)
+    clear = case[5].high - forecast.inputs[:, 0] > 4.0 * np.sqrt(
+        forecast.input_variances[:, 0]
+    )
+    agree(
+        commands[:, clear],
+        forecast.inputs[:, 0][clear],
+        forecast.input_variances[:, 0][clear],
+        most=0.4,
+    )
 
 
 @pytest.mark.parametrize("structure", list(Peltier.structures))
@@ -194,7 +266,9 @@ def test_the_mean_is_the_simulation_to_the_last_bit(structure: str) -> None:
         rig, states=states, covariance=np.eye(n), input=50.0, drift=np.ones(n), reference=reference,
         controller=memory,
     )  # fmt: skip
-    run = simulate_closed_loop(rig, reference, states=advance(rig, states, 50.0, 1.0), controller=memory)
+    run = simulate_closed_loop(
+        rig, reference, states=advance(rig, states, 50.0, 1.0), controller=memory
+    )
     np.testing.assert_array_equal(forecast.outputs[:, 0], run.output)
     np.testing.assert_array_equal(forecast.inputs[:, 0], run.input)
     driven = forecast_loop(
@@ -208,16 +282,33 @@ def test_disturbances_ahead_act_from_the_newest_sample_on() -> None:
     motor = MOTOR.parameters()
     states = np.array([100.0])
     loads = np.linspace(0.0, 0.05, 61)[:, None]
-    given_ = {"states": states, "covariance": np.eye(1), "input": 6.0, "drift": [0.1], "law": Motor.loop}
-    forecast = forecast_loop(motor, reference=np.full(60, 100.0), disturbances=loads, **given_)
+    given_ = {
+        "states": states,
+        "covariance": np.eye(1),
+        "input": 6.0,
+        "drift": [0.1],
+        "law": Motor.loop,
+    }
+    forecast = forecast_loop(
+        motor, reference=np.full(60, 100.0), disturbances=loads, **given_
+    )
     next_states = advance(motor, states, 6.0, 0.05, loads[0])
     run = simulate_closed_loop(
-        motor, np.full(60, 100.0), states=next_states, law=Motor.loop, disturbances=loads[1:]
+        motor,
+        np.full(60, 100.0),
+        states=next_states,
+        law=Motor.loop,
+        disturbances=loads[1:],
     )
     np.testing.assert_array_equal(forecast.outputs[:, 0], run.output)
-    with_value = forecast_loop(motor, reference=np.full(60, 100.0), disturbances=[0.02], **given_)
+    with_value = forecast_loop(
+        motor, reference=np.full(60, 100.0), disturbances=[0.02], **given_
+    )
     with_rows = forecast_loop(
-        motor, reference=np.full(60, 100.0), disturbances=np.full((61, 1), 0.02), **given_
+        motor,
+        reference=np.full(60, 100.0),
+        disturbances=np.full((61, 1), 0.02),
+        **given_,
     )
     for by_value, by_rows in zip(with_value, with_rows, strict=True):
         np.testing.assert_array_equal(by_value, by_rows)
@@ -245,11 +336,17 @@ def test_a_linear_loop_is_its_matrices(swift: float) -> None:
     z = np.diag([(a * first) ** 2 + drift**2, 0.0])
     of_u = np.array([-0.5, 1.0])
     for k in range(400):
-        assert forecast.output_variances[:, 0][k] == pytest.approx(z[0, 0] + noise**2, rel=1e-5)
-        assert forecast.input_variances[:, 0][k] == pytest.approx(of_u @ z @ of_u + 0.25 * noise**2, rel=1e-5)
+        assert forecast.output_variances[:, 0][k] == pytest.approx(
+            z[0, 0] + noise**2, rel=1e-5
+        )
+        assert forecast.input_variances[:, 0][k] == pytest.approx(
+            of_u @ z @ of_u + 0.25 * noise**2, rel=1e-5
+        )
         z = loop @ z @ loop.T + q + np.diag([strays[k] ** 2, 0.0])
     settled = scipy.linalg.solve_discrete_lyapunov(loop, q)
-    assert forecast.output_variances[:, 0][-1] == pytest.approx(settled[0, 0] + noise**2, rel=1e-5)
+    assert forecast.output_variances[:, 0][-1] == pytest.approx(
+        settled[0, 0] + noise**2, rel=1e-5
+    )
 
 
 @settings(max_examples=20)
@@ -265,7 +362,11 @@ def test_what_is_sure_has_no_variance_and_more_doubt_has_more(
 ) -> None:
     rig = MASSIVE.parameters()
     unsure = ["conductance", "sink_convection"]
-    signal = {"reference": np.full(size, level)} if closed else {"inputs": np.full(size, level)}
+    signal = (
+        {"reference": np.full(size, level)}
+        if closed
+        else {"inputs": np.full(size, level)}
+    )
     root = scale * np.random.default_rng(seed).standard_normal((4, 4))
 
     def forecast_of(covariance: Array, drift: float, noise: float) -> LoopForecast:
@@ -288,7 +389,8 @@ def test_what_is_sure_has_no_variance_and_more_doubt_has_more(
     np.testing.assert_array_equal(less_doubt.outputs[:, 0], more_doubt.outputs[:, 0])
     if not closed:
         np.testing.assert_array_equal(more_doubt.input_variances[:, 0], 0.0)
-    assert np.all(more_doubt.output_variances[:, 0] >= 0.01)  # the reading's own noise counts
+    # the reading's own noise counts
+    assert np.all(more_doubt.output_variances[:, 0] >= 0.01)
 
 
 def test_what_cannot_be_forecast_is_refused() -> None:
@@ -303,9 +405,18 @@ def test_what_cannot_be_forecast_is_refused() -> None:
 
     for changes, message in (
         ({"unsure": ["mass"]}, "no parameter 'mass'; there are"),
-        ({"unsure": ["ambient"]}, "covariance of shape (2, 2) given; give finite values of shape (3, 3)"),
-        ({"reference": [40.0, math.nan]}, "set-points is nan at sample 1; only finite values can be used"),
-        ({"states": np.zeros(1)}, "states of shape (1,) given; give finite values of shape (2,)"),
+        (
+            {"unsure": ["ambient"]},
+            "covariance of shape (2, 2) given; give finite values of shape (3, 3)",
+        ),
+        (
+            {"reference": [40.0, math.nan]},
+            "set-points is nan at sample 1; only finite values can be used",
+        ),
+        (
+            {"states": np.zeros(1)},
+            "states of shape (1,) given; give finite values of shape (2,)",
+        ),
         ({"drift": [0.1]}, "drift of shape (1,) given"),
         ({"input": math.inf}, "newest input with a value that is not finite given"),
     ):
@@ -323,7 +434,14 @@ def test_nothing_that_is_given_is_changed() -> None:
     states = begin(rig, 30.0)
     covariance = np.eye(2)
     reference = np.full(9, 40.0)
-    forecast_loop(rig, states=states, covariance=covariance, input=9.0, drift=[0.1, 0.1], reference=reference)
+    forecast_loop(
+        rig,
+        states=states,
+        covariance=covariance,
+        input=9.0,
+        drift=[0.1, 0.1],
+        reference=reference,
+    )
     np.testing.assert_array_equal(states, begin(rig, 30.0))
     np.testing.assert_array_equal(covariance, np.eye(2))
     assert simulate_driven(rig, [9.0], states=states).states[0, 0] == states[0]

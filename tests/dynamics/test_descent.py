@@ -24,7 +24,8 @@ class Curve:
 
 def rosenbrock(x: np.ndarray) -> Curve:
     return Curve(
-        np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]]), np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])
+        np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]]),
+        np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]]),
     )
 
 
@@ -38,11 +39,15 @@ def search(
     earlier: Descended | None = None,
 ) -> Descended:
     arrays = (np.array(v, dtype=float) for v in (start, lower, upper))
-    return descend(lambda x: evaluate(x).normal, *arrays, np.ones(len(start)), most, earlier)
+    return descend(
+        lambda x: evaluate(x).normal, *arrays, np.ones(len(start)), most, earlier
+    )
 
 
 @pytest.mark.parametrize("start", [(-1.2, 1.0), (3.0, -4.0), (0.0, 0.0)])
-@pytest.mark.parametrize("upper", [(10.0, 10.0), (0.5, 10.0), (10.0, 0.25), (0.3, 0.01)])
+@pytest.mark.parametrize(
+    "upper", [(10.0, 10.0), (0.5, 10.0), (10.0, 0.25), (0.3, 0.01)]
+)
 def test_a_curved_valley_is_followed_to_its_end_or_to_the_bound(
     start: tuple[float, float], upper: tuple[float, float]
 ) -> None:
@@ -80,7 +85,9 @@ def test_an_undamped_step_solves_the_linear_problem_in_its_box(
     lower = np.full(3, 0.0)
     upper = np.array([1.0, 0.5, 2.0])
     residuals = matrix @ start - target
-    step, promised = box_step(matrix.T @ matrix, matrix.T @ residuals, start, lower, upper, 1e-12)
+    step, promised = box_step(
+        matrix.T @ matrix, matrix.T @ residuals, start, lower, upper, 1e-12
+    )
     end = start + step
     assert np.all((end >= lower - 1e-12) & (end <= upper + 1e-12))
     before = residuals @ residuals
@@ -102,12 +109,20 @@ def test_parameters_that_trade_off_do_not_leave_their_box(seed: int) -> None:
     """
     rng = np.random.default_rng(seed)
     n = 7
-    matrix = rng.normal(size=(30, n)) @ np.diag(np.logspace(0, -5, n)) @ rng.normal(size=(n, n))
+    matrix = (
+        rng.normal(size=(30, n))
+        @ np.diag(np.logspace(0, -5, n))
+        @ rng.normal(size=(n, n))
+    )
     residuals = 10.0 * rng.normal(size=30)
     lower = -rng.uniform(0.0, 2.0, n)
     upper = rng.uniform(0.5, 50.0, n)
-    step, promised = box_step(matrix.T @ matrix, matrix.T @ residuals, np.zeros(n), lower, upper, 1e-12)
-    theirs = lsq_linear(matrix, -residuals, (lower, upper), method="bvls", tol=1e-14, max_iter=1000)
+    step, promised = box_step(
+        matrix.T @ matrix, matrix.T @ residuals, np.zeros(n), lower, upper, 1e-12
+    )
+    theirs = lsq_linear(
+        matrix, -residuals, (lower, upper), method="bvls", tol=1e-14, max_iter=1000
+    )
     best = residuals @ residuals - 2.0 * theirs.cost
     assert np.all(step >= lower - 1e-9)
     assert np.all(step <= upper + 1e-9)
@@ -137,7 +152,10 @@ def test_a_kink_ends_the_search_and_too_few_evaluations_are_reported() -> None:
 
 def test_a_search_that_comes_into_a_known_valley_ends_with_its_minimum() -> None:
     def well(x: np.ndarray) -> Curve:
-        return Curve(np.array([x[0] + 0.1 * x[0] ** 2, 1.0]), np.array([[1.0 + 0.2 * x[0]], [0.0]]))
+        return Curve(
+            np.array([x[0] + 0.1 * x[0] ** 2, 1.0]),
+            np.array([[1.0 + 0.2 * x[0]], [0.0]]),
+        )
 
     first = search(well, (3.0,), (-4.0,), (4.0,))
     second = search(well, (2.0,), (-4.0,), (4.0,), earlier=first)
@@ -145,7 +163,8 @@ def test_a_search_that_comes_into_a_known_valley_ends_with_its_minimum() -> None
 
     def two(x: np.ndarray) -> Curve:  # minima at −1 and 2, the second one higher
         return Curve(
-            np.array([(x[0] + 1.0) * (x[0] - 2.0), 0.3 * (x[0] + 1.0)]), np.array([[2.0 * x[0] - 1.0], [0.3]])
+            np.array([(x[0] + 1.0) * (x[0] - 2.0), 0.3 * (x[0] + 1.0)]),
+            np.array([[2.0 * x[0] - 1.0], [0.3]]),
         )
 
     from_left = search(two, (-2.0,), (-5.0,), (5.0,))
@@ -159,6 +178,9 @@ def test_bounds_that_are_columns_need_no_kernel_of_their_own() -> None:
     bounds = np.array([[0.0, 1.0], [0.2, 2.0]])
 
     def layouts(low: np.ndarray, high: np.ndarray) -> list[bool]:
-        return [array.flags.c_contiguous for array in new_search(start, low, high, np.ones(2), 9)]
+        return [
+            array.flags.c_contiguous
+            for array in new_search(start, low, high, np.ones(2), 9)
+        ]
 
     assert layouts(*bounds.T) == layouts(*bounds.T.copy())

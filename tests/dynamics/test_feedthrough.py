@@ -43,9 +43,15 @@ class Cell(Plant, name="cell_at_once"):
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
         """The resistance acts at once."""
         return Equations(
-            rates={self.charge: self.amps / 3600, self.fast: (self.r1 * self.amps - self.fast) / self.t1},
+            rates={
+                self.charge: self.amps / 3600,
+                self.fast: (self.r1 * self.amps - self.fast) / self.t1,
+            },
             output=3.45 + self.slope * self.charge + self.r * self.amps + self.fast,
-            start={self.charge: (self.volts - 3.45 - self.r * self.amps) / self.slope, self.fast: 0},
+            start={
+                self.charge: (self.volts - 3.45 - self.r * self.amps) / self.slope,
+                self.fast: 0,
+            },
         )
 
 
@@ -58,10 +64,14 @@ def test_the_reading_moves_with_the_drive_and_begins_where_it_was_measured() -> 
     """By R·I in the sample of the step, and by no more than the pair moves in a second beside it."""
     moved = np.diff(RUN.output)
     steps = np.diff(AMPS)
-    np.testing.assert_allclose(moved[steps != 0.0], 0.002 * steps[steps != 0.0], atol=0.004)
+    np.testing.assert_allclose(
+        moved[steps != 0.0], 0.002 * steps[steps != 0.0], atol=0.004
+    )
     assert np.abs(moved[steps == 0.0]).max() < 0.004
     loaded = begin(TRUTH, 3.9, input=-30.0)
-    assert simulate_driven(TRUTH, [-30.0], states=loaded, period=1.0).output[0] == pytest.approx(3.9)
+    assert simulate_driven(TRUTH, [-30.0], states=loaded, period=1.0).output[
+        0
+    ] == pytest.approx(3.9)
 
 
 def test_a_match_finds_the_resistance_even_if_the_window_begins_under_load() -> None:
@@ -77,7 +87,9 @@ def test_a_match_finds_the_resistance_even_if_the_window_begins_under_load() -> 
 def test_what_is_held_is_what_is_forecast_and_observed() -> None:
     """As a simulation with that current from the newest sample on, with bands of the noise alone."""
     newest = 200
-    observer = Observer(TRUTH, period=1.0, drift=[0.0, 0.0], start=[1e-6, 1e-9], states=RUN.states[0])
+    observer = Observer(
+        TRUTH, period=1.0, drift=[0.0, 0.0], start=[1e-6, 1e-9], states=RUN.states[0]
+    )
     surprises = []
     for k in range(newest + 1):
         surprises.append(observer.correct(RUN.output[k], None, AMPS[k])[0][0])
@@ -85,12 +97,18 @@ def test_what_is_held_is_what_is_forecast_and_observed() -> None:
             observer.predict(AMPS[k])
     assert np.abs(surprises).max() < 1e-9
     foresight = Foresight([(TRUTH, ())], None, drift=[[0.0, 0.0]], period=1.0)
-    newest_state = foresight.at([observer.states], [observer.covariance], AMPS[newest], None)
+    newest_state = foresight.at(
+        [observer.states], [observer.covariance], AMPS[newest], None
+    )
     forecast = foresight.ahead(newest_state, np.full(30, -30.0))
     instead = np.append(AMPS[: newest + 1], np.full(30, -30.0))
-    expected = simulate_driven(TRUTH, instead, states=RUN.states[0], period=1.0).output[newest + 1 :]
+    expected = simulate_driven(TRUTH, instead, states=RUN.states[0], period=1.0).output[
+        newest + 1 :
+    ]
     np.testing.assert_allclose(forecast.outputs[:, 0], expected, atol=1e-9)
-    np.testing.assert_allclose(np.sqrt(forecast.output_variances[:, 0]), 0.001, rtol=1e-3)
+    np.testing.assert_allclose(
+        np.sqrt(forecast.output_variances[:, 0]), 0.001, rtol=1e-3
+    )
 
 
 def test_its_linear_model_answers_a_command_with_the_next_reading() -> None:
@@ -100,7 +118,12 @@ def test_its_linear_model_answers_a_command_with_the_next_reading() -> None:
     for _ in range(40):
         y.append(float((linear.C @ x)[0]))
         x = linear.A @ x + linear.B @ np.array([-30.0])
-    stepped = simulate_driven(TRUTH, np.full(40, -30.0), states=begin(TRUTH, 4.0), period=1.0).output - 4.0
+    stepped = (
+        simulate_driven(
+            TRUTH, np.full(40, -30.0), states=begin(TRUTH, 4.0), period=1.0
+        ).output
+        - 4.0
+    )
     # The reading before the first command; then the states of one sample, under the command that acts.
     assert y[0] == 0.0
     np.testing.assert_allclose(y[1:], stepped[1:], atol=1e-9)
@@ -108,7 +131,10 @@ def test_its_linear_model_answers_a_command_with_the_next_reading() -> None:
 
 def test_a_controller_that_reads_what_it_commands_is_refused() -> None:
     law = PidGains(1.0, 0.1, 0.0, 1.0, low=-10.0, high=10.0, period=1.0)
-    with pytest.raises(PlantError, match="an output depends on a drive at the same instant, so a controller"):
+    with pytest.raises(
+        PlantError,
+        match="an output depends on a drive at the same instant, so a controller",
+    ):
         simulate_closed_loop(TRUTH, np.full(9, 4.0), states=begin(TRUTH, 4.0), law=law)
 
 
@@ -120,8 +146,12 @@ def test_health_names_a_contactor_that_opens_as_a_lost_drive() -> None:
     volts = simulate_driven(TRUTH, amps, states=begin(TRUTH, 4.0), period=1.0).output
     volts = np.round(volts + np.random.default_rng(7).normal(0.0, 0.001, volts.size), 4)
     monitor = Monitor(HealthSettings.of(Cell))
-    for k, (commanded, reading) in enumerate(zip(wanted.tolist(), volts.tolist(), strict=True)):
+    for k, (commanded, reading) in enumerate(
+        zip(wanted.tolist(), volts.tolist(), strict=True)
+    ):
         monitor.push(Sample(k, k * 10**9, reading, reading, commanded), TRUTH)
     *before, last = monitor.alarms
     assert last.fault is Fault.DRIVE_LOST
-    assert all(alarm.fault is Fault.DRIFT and alarm.flagged > opens for alarm in before), "not yet told apart"
+    assert all(
+        alarm.fault is Fault.DRIFT and alarm.flagged > opens for alarm in before
+    ), "not yet told apart"

@@ -27,16 +27,23 @@ from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 
 MOTOR = Motor.model("with friction")
-RICHEST = Peltier.model("sink with mass, free ambient, switched drive, sensor lag, α(T)")
+RICHEST = Peltier.model(
+    "sink with mass, free ambient, switched drive, sensor lag, α(T)"
+)
 
 
 @given(
-    gain=st.floats(0.1, 10.0), lag=st.floats(0.5, 50.0), x=st.floats(-40.0, 40.0), u=st.floats(-10.0, 10.0)
+    gain=st.floats(0.1, 10.0),
+    lag=st.floats(0.5, 50.0),
+    x=st.floats(-40.0, 40.0),
+    u=st.floats(-10.0, 10.0),
 )
 def test_a_lag_is_an_exponential(gain: float, lag: float, x: float, u: float) -> None:
     p = Lag.model().parameters(gain=gain, lag=lag)
     exact = gain * u + (x - gain * u) * math.exp(-1.0 / lag)
-    assert advance(p, np.array([x]), u, 1.0)[0] == pytest.approx(exact, abs=1e-6 * (1 + abs(x - gain * u)))
+    assert advance(p, np.array([x]), u, 1.0)[0] == pytest.approx(
+        exact, abs=1e-6 * (1 + abs(x - gain * u))
+    )
 
 
 def motor_run(p: Parameters, samples: int = 240, seed: int | None = 5) -> Window:
@@ -45,7 +52,12 @@ def motor_run(p: Parameters, samples: int = 240, seed: int | None = 5) -> Window
     load = np.where(np.arange(samples) % 80 < 40, 0.0, 0.03)[:, None]
     sensor = None if seed is None else Sensor(noise=0.2).realise(samples, 0.05, seed)
     run = simulate_closed_loop(
-        p, reference, states=begin(p, 0.0), law=Motor.loop, disturbances=load, sensor=sensor
+        p,
+        reference,
+        states=begin(p, 0.0),
+        law=Motor.loop,
+        disturbances=load,
+        sensor=sensor,
     )
     return Window(reference, run.output, run.input, period=0.05, disturbances=load)
 
@@ -65,18 +77,24 @@ def test_tangents_are_those_of_differences(model: object, closed: bool) -> None:
         run = simulate_closed_loop(base, reference, states=begin(base, 25.0))
         window = Window(reference, run.output, run.input)
     free = [*base.model.structure.free, base.model.names[-1]]
-    experiment = Experiment(base, free, window, free_starts=starts, law=FROM_PLANT_FILE if closed else None)
+    experiment = Experiment(
+        base, free, window, free_starts=starts, law=FROM_PLANT_FILE if closed else None
+    )
     values = experiment.values_of(base)
     exact = experiment.tangents(values)
     # The derivatives share subexpressions with the rates, which rounds them another way.
-    np.testing.assert_allclose(exact.outputs[:, 0], experiment.simulate(values).output, rtol=1e-12)
+    np.testing.assert_allclose(
+        exact.outputs[:, 0], experiment.simulate(values).output, rtol=1e-12
+    )
     for j, name in enumerate([*free, *starts]):
         scale = base.model.declared[name].scale if j < len(free) else 1.0
         step = np.zeros(values.size)
         step[j] = 1e-6 * scale
         up = experiment.simulate(values + step)
         down = experiment.simulate(values - step)
-        for row, (a, b) in enumerate(((up.output, down.output), (up.input, down.input))):
+        for row, (a, b) in enumerate(
+            ((up.output, down.output), (up.input, down.input))
+        ):
             differences = (a - b) / (2 * step[j])
             size = np.max(np.abs(exact.by[row, :, j])) + 1e-6
             # Differences may straddle a sample at which u leaves its limit; the derivative does not.
@@ -86,17 +104,24 @@ def test_tangents_are_those_of_differences(model: object, closed: bool) -> None:
 
 @settings(max_examples=20)
 @given(k=st.floats(0.02, 0.2), j=st.floats(1e-4, 2e-3), robust=st.booleans())
-def test_the_normal_equations_are_those_of_the_arrays(k: float, j: float, robust: bool) -> None:
+def test_the_normal_equations_are_those_of_the_arrays(
+    k: float, j: float, robust: bool
+) -> None:
     window = motor_run(MOTOR.parameters())
     weights = np.array([5.0, 3.0])
     experiment = Experiment(
-        MOTOR.parameters(), ("k", "j", "b"), window, weights=(5.0, 3.0), robust=robust, settle=10
+        MOTOR.parameters(),
+        ("k", "j", "b"),
+        window,
+        weights=(5.0, 3.0),
+        robust=robust,
+        settle=10,
     )
     values = np.array([k, j, 1e-4])
     tangents = experiment.tangents(values)
-    residuals = (np.stack([tangents.outputs[:, 0], tangents.inputs[:, 0]]) - experiment.measured)[
-        :, 10:
-    ] * weights[:, None]
+    residuals = (
+        np.stack([tangents.outputs[:, 0], tangents.inputs[:, 0]]) - experiment.measured
+    )[:, 10:] * weights[:, None]
     jacobian = (tangents.by[:, 10:] * weights[:, None, None]).reshape(-1, 3)
     root = np.sqrt(1.0 + residuals**2) if robust else np.ones_like(residuals)
     expected = np.sum(2.0 * (root - 1.0)) if robust else np.sum(residuals**2)
@@ -104,7 +129,10 @@ def test_the_normal_equations_are_those_of_the_arrays(k: float, j: float, robust
     assert cost == pytest.approx(expected, rel=1e-9)
     weighed = jacobian / root.reshape(-1, 1)
     np.testing.assert_allclose(
-        gradient, weighed.T @ residuals.ravel(), rtol=1e-7, atol=1e-7 * np.max(np.abs(gradient))
+        gradient,
+        weighed.T @ residuals.ravel(),
+        rtol=1e-7,
+        atol=1e-7 * np.max(np.abs(gradient)),
     )
     np.testing.assert_allclose(hessian, weighed.T @ jacobian, rtol=1e-8)
 
@@ -131,7 +159,11 @@ def test_noise_goes_round_the_loop(closed: bool, plant: str) -> None:
         window = Window(reference, run.output, run.input)
     weights = (1.0, 0.02)
     experiment = Experiment(
-        base, base.model.structure.free, window, law=law if closed else None, weights=weights
+        base,
+        base.model.structure.free,
+        window,
+        law=law if closed else None,
+        weights=weights,
     )
     tangents = experiment.tangents(experiment.values_of(base))
     weighed = tangents.by * np.array(weights)[:, None, None]
@@ -146,7 +178,11 @@ def test_noise_goes_round_the_loop(closed: bool, plant: str) -> None:
         states = begin(base, window.output[2] + first, disturbances=load[0])
         if not closed:
             run = simulate_driven(
-                base, window.input[2:], states=states, period=window.period, disturbances=load
+                base,
+                window.input[2:],
+                states=states,
+                period=window.period,
+                disturbances=load,
             )
             return np.stack([run.output + noise, np.zeros(size)])
         sensor = Sensor().realise(size, window.period, 0)
@@ -165,23 +201,42 @@ def test_noise_goes_round_the_loop(closed: bool, plant: str) -> None:
         change = (response(noise, 0.0) - response(-noise, 0.0)) / (2 * bump)
         if k == 0:
             # The twin starts at the same reading: what is left is the plant's own way from there.
-            change -= (response(np.zeros(size), bump) - response(np.zeros(size), -bump)) / (2 * bump)
+            change -= (
+                response(np.zeros(size), bump) - response(np.zeros(size), -bump)
+            ) / (2 * bump)
         scaled = change * np.array(weights)[:, None]
         expected[k] = np.einsum("cj,cjp->p", scaled, weighed)
         squares += np.sum(scaled**2)
     np.testing.assert_allclose(sums, expected, atol=1e-4 * np.max(np.abs(expected)))
-    assert mean_square == pytest.approx(squares / ((2 if closed else 1) * size), rel=1e-4)
+    assert mean_square == pytest.approx(
+        squares / ((2 if closed else 1) * size), rel=1e-4
+    )
 
 
 def test_disturbances_act_and_are_checked() -> None:
     p = MOTOR.parameters()
-    free, loaded = (advance(p, np.array([100.0]), 6.0, 0.05, np.array([load])) for load in (0.0, 0.1))
+    free, loaded = (
+        advance(p, np.array([100.0]), 6.0, 0.05, np.array([load]))
+        for load in (0.0, 0.1)
+    )
     assert loaded[0] < free[0]
     assert advance(p, np.array([100.0]), 6.0, 0.05)[0] == free[0]
-    with pytest.raises(PlantError, match=r"disturbances \[1\.0, 2\.0\] given; give 1 finite values \(load\)"):
+    with pytest.raises(
+        PlantError,
+        match=r"disturbances \[1\.0, 2\.0\] given; give 1 finite values \(load\)",
+    ):
         read(p, np.array([100.0]), np.array([1.0, 2.0]))
-    with pytest.raises(PlantError, match=r"shape \(3, 2\) given; give 1 finite values \(load\) at each of 5"):
-        simulate_driven(p, np.zeros(5), states=begin(p, 0.0), period=0.05, disturbances=np.zeros((3, 2)))
+    with pytest.raises(
+        PlantError,
+        match=r"shape \(3, 2\) given; give 1 finite values \(load\) at each of 5",
+    ):
+        simulate_driven(
+            p,
+            np.zeros(5),
+            states=begin(p, 0.0),
+            period=0.05,
+            disturbances=np.zeros((3, 2)),
+        )
 
 
 def test_what_cannot_be_run_is_refused() -> None:

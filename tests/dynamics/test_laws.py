@@ -34,7 +34,9 @@ from twinmatch.signals import Window
 
 Array = NDArray[np.float64]
 PID = PidGains(8.0, 0.3, 2.0, 0.4, low=-50.0, high=60.0, period=0.5)
-TWO = TwoLevel(0.0, 1.0, below=1.0, above=0.5, least_on=3.0, least_off=2.0, most_on=9.0, period=0.5)
+TWO = TwoLevel(
+    0.0, 1.0, below=1.0, above=0.5, least_on=3.0, least_off=2.0, most_on=9.0, period=0.5
+)
 LINEAR = LinearLaw(
     A=[[0.9, 0.1], [0.0, 0.8]], B=[[0.1, 0.2], [0.0, -0.1]], C=[[1.0, 0.5], [-0.4, 2.0]],
     D=[[-2.0, 0.1], [0.2, -3.0]], E=[[2.0], [1.0]], F=[[0.3], [-0.2]], G=[[0.02, 0.0], [0.01, -0.03]],
@@ -60,16 +62,21 @@ def step_and_slopes(law, z, r, y, tuned):  # type: ignore[no-untyped-def]
 
 def lqg(folder_name: str = "tclab_2x2") -> LinearLaw:
     """The observer with state feedback and steady-state targets that ran a recorded kit."""
-    read = json.loads((OTHERS / folder_name / "closed_loop_lqg_controller.json").read_text())
+    read = json.loads(
+        (OTHERS / folder_name / "closed_loop_lqg_controller.json").read_text()
+    )
     a, b, c, bd, cd, k, u0, y0, qs, rs = (
-        np.array(read[name]) for name in ("A", "B", "C", "Bd", "Cd", "K", "u0", "y0", "Qs", "Rs")
+        np.array(read[name])
+        for name in ("A", "B", "C", "Bd", "Cd", "K", "u0", "y0", "Qs", "Rs")
     )
     n = len(a)
     nd = bd.shape[1]
     whole = c.T @ qs @ c
     cost = solve_discrete_are(a, b, whole, rs)
     feedback = np.linalg.solve(b.T @ cost @ b + rs, b.T @ cost @ a)
-    target = np.linalg.inv(np.block([[np.eye(n) - a, -b], [c, np.zeros((len(c), b.shape[1]))]]))
+    target = np.linalg.inv(
+        np.block([[np.eye(n) - a, -b], [c, np.zeros((len(c), b.shape[1]))]])
+    )
     target = target @ np.block([[bd, np.zeros((n, len(c)))], [-cd, np.eye(len(c))]])
     of_d = target[:, :nd]
     of_r = target[:, nd:]
@@ -89,9 +96,14 @@ def test_a_recorded_observer_with_state_feedback_is_reproduced() -> None:
     """Readings were recorded with four decimals; rounded by 5e-5 they move a command by up to 6e-4."""
     path = OTHERS / "tclab_2x2" / "closed_loop_lqg.csv"
     if not path.is_file():
-        pytest.skip(f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings")
+        pytest.skip(
+            f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings"
+        )
     _, r1, r2, q1, q2, t1, t2 = np.loadtxt(path, delimiter=",", skiprows=1, unpack=True)
-    r, u, y = (np.ascontiguousarray(np.stack(pair, axis=1)) for pair in ((r1, r2), (q1, q2), (t1, t2)))
+    r, u, y = (
+        np.ascontiguousarray(np.stack(pair, axis=1))
+        for pair in ((r1, r2), (q1, q2), (t1, t2))
+    )
     law = lqg()
     commands, _ = commands_of(law.code, np.zeros(4), r, y)
     assert np.max(np.abs(commands - u)) < 7e-4
@@ -105,14 +117,18 @@ def test_a_recorded_observer_with_state_feedback_is_reproduced() -> None:
     # Picked up anywhere, its state follows from what it did.
     for first in (0, 777, 3000):
         window = Window(r, y, u).part(first, first + 60)
-        resumed, _ = commands_of(law.code, law.state(window), window.references[2:], window.outputs[2:])
+        resumed, _ = commands_of(
+            law.code, law.state(window), window.references[2:], window.outputs[2:]
+        )
         np.testing.assert_allclose(resumed, window.inputs[2:], atol=0.05)
 
 
 @settings(max_examples=60)
 @given(st.data())
 @pytest.mark.parametrize("law", [PID, LINEAR], ids=["PID", "linear"])
-def test_the_derivatives_are_those_of_differences(law: Law, data: st.DataObject) -> None:
+def test_the_derivatives_are_those_of_differences(
+    law: Law, data: st.DataObject
+) -> None:
     numbers = st.floats(-3.0, 3.0)
     z, y, r = (
         np.array(data.draw(st.lists(numbers, min_size=n, max_size=n)))
@@ -124,7 +140,10 @@ def test_the_derivatives_are_those_of_differences(law: Law, data: st.DataObject)
     low = compiled_law[3 : 3 + m]
     high = compiled_law[3 + m : 3 + 2 * m]
     u, after, slopes, of_gains = step_and_slopes(compiled_law, z, r, y, tuned)
-    if np.min(np.abs(np.concatenate([u - low, u - high]))) < 1e-4 and not ((u == low) | (u == high)).all():
+    if (
+        np.min(np.abs(np.concatenate([u - low, u - high]))) < 1e-4
+        and not ((u == low) | (u == high)).all()
+    ):
         return  # at the edge of a limit the derivative is one-sided
 
     def result(of_z: Array, of_y: Array, of_gains: Array) -> Array:
@@ -144,7 +163,9 @@ def test_the_derivatives_are_those_of_differences(law: Law, data: st.DataObject)
             ends.append(result(moved[:q], moved[q : q + p], numbers_there))
         differences = (ends[0] - ends[1]) / 2e-6
         exact = slopes[:, j] if j < q + p else of_gains[:, j - q - p]
-        if ((u <= low) | (u >= high)).any() and not np.allclose(exact, differences, atol=1e-5):
+        if ((u <= low) | (u >= high)).any() and not np.allclose(
+            exact, differences, atol=1e-5
+        ):
             continue  # a command that is exactly on its limit, or enters it on the way
         np.testing.assert_allclose(exact, differences, atol=1e-5)
     assert slopes.shape == (m + q, q + p)
@@ -221,7 +242,9 @@ def test_unknown_gains_of_a_controller_are_found() -> None:
     reference = np.repeat([[45.0, 38.0], [55.0, 40.0], [50.0, 48.0]], 60, axis=0)
     run = simulate_closed_loop(rig, reference, states=begin(rig, [40.0, 35.0]), law=law)
     window = Window(reference, run.outputs, run.inputs, period=2.0)
-    experiment = Experiment(rig, ("loss",), window, free_gains=("D[0,0]", "E[0,0]"), law=law)
+    experiment = Experiment(
+        rig, ("loss",), window, free_gains=("D[0,0]", "E[0,0]"), law=law
+    )
     truth = experiment.values_of(rig)
     assert truth.tolist() == [rig["loss"], -4.0, 4.0]
     minimum = experiment.descend(
@@ -238,8 +261,14 @@ def test_unknown_gains_of_a_controller_are_found() -> None:
         (lambda: TwoLevel(0.0, 1.0, -2.0, 1.0), "limits that do not cross"),
         (lambda: TwoLevel(0.0, math.nan, 1.0, 1.0), "on is nan"),
         (lambda: TwoLevel(0.0, 1.0, 1.0, 1.0, least_on=-1.0), "least_on is -1.0"),
-        (lambda: TwoLevel(0.0, 1.0, 1.0, 1.0, least_on=5.0, most_on=4.0), "most_on is 4.0 s"),
-        (lambda: lqg_with(B=np.zeros((3, 2))), r"B has shape \(3, 2\); give numbers of shape \(4, 2\)"),
+        (
+            lambda: TwoLevel(0.0, 1.0, 1.0, 1.0, least_on=5.0, most_on=4.0),
+            "most_on is 4.0 s",
+        ),
+        (
+            lambda: lqg_with(B=np.zeros((3, 2))),
+            r"B has shape \(3, 2\); give numbers of shape \(4, 2\)",
+        ),
         (lambda: lqg_with(high=np.zeros(2)), "give limits in increasing order"),
         (lambda: lqg_with(C=np.zeros(4)), "C, D and E must be matrices"),
         (lambda: Controller(PID, [math.nan, 0.0, 0.0]).step(1.0, 1.0), "state"),

@@ -38,7 +38,10 @@ def test_every_recorded_command_is_reproduced(
     for number in recordings:
         window = recorded_hour(number)
         pid = Controller(RIG)
-        pwm = [pid.step(r, y)[0] for r, y in zip(window.reference, window.output, strict=True)]
+        pwm = [
+            pid.step(r, y)[0]
+            for r, y in zip(window.reference, window.output, strict=True)
+        ]
         np.testing.assert_allclose(pwm, window.input, atol=1e-4)
         assert np.max(np.abs(pwm)) == 255.0  # saturation was among them
 
@@ -47,7 +50,8 @@ def test_a_controller_picked_up_anywhere_in_a_recording_continues(
     recorded_hour: Callable[[int], Window],
 ) -> None:
     hour = recorded_hour(5)
-    for first in range(0, len(hour) - 20, 37):  # steps, saturated stretches and rest alike
+    for first in range(0, len(hour) - 20, 37):
+        # steps, saturated stretches and rest alike
         window = hour.part(first, first + 19)
         pid = Controller(RIG, controller_state(window, RIG))
         pwm = [pid.step(window.reference[k], window.output[k])[0] for k in range(2, 20)]
@@ -72,7 +76,9 @@ def test_following_a_controller_adopts_its_state(values: list[float]) -> None:
         assert follower.state[0] == pytest.approx(leader.state[0], rel=1e-9, abs=1e-9)
 
 
-@given(errors, st.sampled_from([0.0, 0.3, 0.8, 1.0, 1.5]), st.sampled_from([0.5, 1.0, 2.0]))
+@given(
+    errors, st.sampled_from([0.0, 0.3, 0.8, 1.0, 1.5]), st.sampled_from([0.5, 1.0, 2.0])
+)
 def test_the_state_is_found_for_any_back_calculation(
     values: list[float], back_calculation: float, period: float
 ) -> None:
@@ -83,7 +89,9 @@ def test_the_state_is_found_for_any_back_calculation(
     for error in values:
         pwm.append(pid.step(error, 0.0)[0])
         states.append(pid.state)
-    window = Window(np.array(values), np.zeros(len(values)), np.array(pwm), period=period)
+    window = Window(
+        np.array(values), np.zeros(len(values)), np.array(pwm), period=period
+    )
     free = next((k for k in range(1, len(pwm)) if abs(pwm[k]) < 255.0), None)
     state = controller_state(window, gains)
     assert state.previous == states[1][1]
@@ -98,7 +106,9 @@ def test_a_window_limited_throughout_gets_the_least_state_that_explains_it() -> 
     gains = dataclasses.replace(RIG, back_calculation=0.5)
     window = Window(np.full(5, 30.0), np.zeros(5), np.full(5, 255.0))
     least = 255.0 - gains.proportional * 30.0
-    assert controller_state(window, gains) == PidState(least + gains.integral * 30.0, 30.0)
+    assert controller_state(window, gains) == PidState(
+        least + gains.integral * 30.0, 30.0
+    )
     pid = Controller(gains, PidState(least, 30.0))
     assert pid.step(30.0, 0.0)[0] == 255.0
 
@@ -113,7 +123,8 @@ def test_a_limited_follower_without_exact_back_calculation_forgets_its_error() -
         gaps.append(abs(follower.state[0] - leader.state[0]))
     np.testing.assert_allclose(gaps, 500.0 * 0.5 ** np.arange(1, 13), rtol=1e-6)
     follower.follow(12.0, 0.0, leader.step(12.0, 0.0)[0])
-    assert abs(leader.state[0] - follower.state[0]) < 1e-9  # the first free sample tells it
+    # the first free sample tells it
+    assert abs(leader.state[0] - follower.state[0]) < 1e-9
 
 
 def test_a_simulation_from_a_found_state_continues_where_the_first_left_off() -> None:
@@ -131,7 +142,9 @@ def test_a_simulation_from_a_found_state_continues_where_the_first_left_off() ->
     np.testing.assert_allclose(continued.input, window.input[2:], atol=1e-7)
 
 
-def test_a_derivative_of_the_measurement_is_not_kicked_by_a_step_and_its_state_is_found() -> None:
+def test_a_derivative_of_the_measurement_is_not_kicked_by_a_step_and_its_state_is_found() -> (
+    None
+):
     gains = dataclasses.replace(RIG, on_measurement=True)
     assert Controller(gains).step(1.0, 0.0)[0] == gains.proportional
     output = 30.0 + np.sin(np.arange(12.0) / 3)
@@ -141,7 +154,10 @@ def test_a_derivative_of_the_measurement_is_not_kicked_by_a_step_and_its_state_i
     for first in range(9):
         window = Window(reference, output, np.array(input_)).part(first, 11)
         restored = Controller(gains, controller_state(window, gains))
-        commands = [restored.step(window.reference[k], window.output[k])[0] for k in range(2, len(window))]
+        commands = [
+            restored.step(window.reference[k], window.output[k])[0]
+            for k in range(2, len(window))
+        ]
         np.testing.assert_allclose(commands, input_[first + 2 :], atol=1e-9)
 
 
@@ -152,9 +168,15 @@ def test_what_is_not_a_number_is_refused_and_changes_nothing() -> None:
         ("controller: output is nan", lambda: pid.step(40.0, math.nan)),
         ("controller: reference is inf", lambda: pid.step(math.inf, 30.0)),
         ("controller: input is nan", lambda: pid.follow(40.0, 30.0, math.nan)),
-        ("holds a value that is not finite", lambda: dataclasses.replace(RIG, integral=math.nan)),
+        (
+            "holds a value that is not finite",
+            lambda: dataclasses.replace(RIG, integral=math.nan),
+        ),
         ("period 0.0 s must be positive", lambda: dataclasses.replace(RIG, period=0.0)),
-        ("holds 1 sample; give at least two", lambda: controller_state(Window(single, single, single), RIG)),
+        (
+            "holds 1 sample; give at least two",
+            lambda: controller_state(Window(single, single, single), RIG),
+        ),
     ):
         with pytest.raises(PlantError, match=message):
             use()
@@ -175,7 +197,8 @@ def test_the_same_seed_gives_the_same_run() -> None:
 
 def test_noise_is_white_and_has_its_declared_size() -> None:
     noise = Sensor(noise=0.2).realise(20000, 1.0, 1).noise
-    assert np.std(noise) == pytest.approx(0.2, rel=0.02)  # four standard errors of 20000 values
+    # four standard errors of 20000 values
+    assert np.std(noise) == pytest.approx(0.2, rel=0.02)
     assert abs(np.corrcoef(noise[1:], noise[:-1])[0, 1]) < 0.03
 
 
@@ -191,13 +214,17 @@ def test_corrections_come_once_a_period() -> None:
 def test_a_frozen_camera_repeats_itself_in_the_loop() -> None:
     camera = Sensor(0.1, pause_period=30.0, pause_duration=3.0).realise(300, 1.0, 4)
     rig = Peltier.model().parameters()
-    response = simulate_closed_loop(rig, np.full(300, 60.0), states=begin(rig, 23.0), sensor=camera)
+    response = simulate_closed_loop(
+        rig, np.full(300, 60.0), states=begin(rig, 23.0), sensor=camera
+    )
     repeats = np.diff(response.output) == 0.0
     assert camera.frozen.sum() >= 27
     assert repeats[camera.frozen[1:]].all()
 
 
-@given(st.floats(-20.0, 130.0), st.sampled_from([0.01, 0.05, 0.5]), st.floats(-1.0, 1.0))
+@given(
+    st.floats(-20.0, 130.0), st.sampled_from([0.01, 0.05, 0.5]), st.floats(-1.0, 1.0)
+)
 def test_a_reading_is_a_multiple_of_the_resolution_next_to_the_output(
     output: float, resolution: float, noise: float
 ) -> None:
@@ -210,7 +237,9 @@ def test_a_reading_is_a_multiple_of_the_resolution_next_to_the_output(
 def test_a_camera_frozen_from_the_start_shows_the_output_once() -> None:
     camera = SensorRealisation(np.zeros(3), np.ones(3, dtype=bool), 0.0)
     rig = Peltier.model().parameters()
-    response = simulate_closed_loop(rig, [60.0] * 3, states=begin(rig, 27.0), sensor=camera)
+    response = simulate_closed_loop(
+        rig, [60.0] * 3, states=begin(rig, 27.0), sensor=camera
+    )
     np.testing.assert_array_equal(response.output, np.full(3, 300.15 - 273.15))
     assert camera.reading(0, 27.0) == 27.0
     assert camera.reading(2, 37.0, last=12.0) == 12.0

@@ -27,7 +27,20 @@ BEYOND = 64
 
 def derived(rates: tuple[Any, Any], outputs: tuple[Any, ...] = X) -> Derived:
     """Equations of two states, two inputs and two parameters."""
-    return Derived(X, U, (), P, P, sympy.symbols("seen also", real=True), (), (), rates, outputs, X, {})
+    return Derived(
+        X,
+        U,
+        (),
+        P,
+        P,
+        sympy.symbols("seen also", real=True),
+        (),
+        (),
+        rates,
+        outputs,
+        X,
+        {},
+    )
 
 
 def evaluated(equations: Derived, sizes: dict[str, int]) -> dict[str, np.ndarray]:
@@ -40,21 +53,29 @@ def evaluated(equations: Derived, sizes: dict[str, int]) -> dict[str, np.ndarray
     b = np.zeros(1)
 
     def call(function: str, target: np.ndarray) -> np.ndarray:
-        function_type = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6)(addresses[function])
+        function_type = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6)(
+            addresses[function]
+        )
         function_type(*(array.ctypes.data for array in (x, u, b, p, b, target)))
         return target
 
     call("constants", p[2:])
-    results = {name: call(name, np.full(size + BEYOND, np.nan)) for name, size in sizes.items()}
+    results = {
+        name: call(name, np.full(size + BEYOND, np.nan)) for name, size in sizes.items()
+    }
     del owner
-    assert all(np.isnan(results[name][size:]).all() for name, size in sizes.items()), "more than it should"
+    assert all(np.isnan(results[name][size:]).all() for name, size in sizes.items()), (
+        "more than it should"
+    )
     return {name: results[name][:size] for name, size in sizes.items()}
 
 
 def expected(expressions: list[Any]) -> np.ndarray:
     """The same by SymPy, to 30 digits."""
     values = dict(zip((*X, *U, *P), map(sympy.Float, NUMBERS), strict=True))
-    return np.array([float(sympy.N(sympy.sympify(e).subs(values), 30)) for e in expressions])
+    return np.array(
+        [float(sympy.N(sympy.sympify(e).subs(values), 30)) for e in expressions]
+    )
 
 
 def assert_all_agree(equations: Derived) -> None:
@@ -68,14 +89,22 @@ def assert_all_agree(equations: Derived) -> None:
     right = {
         "slopes": [*derivatives_by(P), *rates, *derivatives_by(X), *derivatives_by(U)],
         "outputs": outputs,
-        "output_slopes": [e.diff(s) for symbols in (X, P, U) for e in outputs for s in symbols],
+        "output_slopes": [
+            e.diff(s) for symbols in (X, P, U) for e in outputs for s in symbols
+        ],
     }
-    results = evaluated(equations, {name: len(expressions) for name, expressions in right.items()})
+    results = evaluated(
+        equations, {name: len(expressions) for name, expressions in right.items()}
+    )
     for name, expressions in right.items():
-        np.testing.assert_allclose(results[name], expected(expressions), rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(
+            results[name], expected(expressions), rtol=1e-12, atol=1e-13
+        )
 
 
-@pytest.mark.parametrize("name", sorted(set(_FUNCTIONS) - {"Abs", "Max", "Min", "Piecewise"}))
+@pytest.mark.parametrize(
+    "name", sorted(set(_FUNCTIONS) - {"Abs", "Max", "Min", "Piecewise"})
+)
 def test_every_function_that_equations_may_use_is_compiled(name: str) -> None:
     """Kinks are resolved into switches before; the four that have one are tested with those."""
     function: Callable[..., Any] = getattr(sympy, name)
@@ -92,7 +121,9 @@ def trees(leaves: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
         pairs.map(lambda two: two[0] + two[1]),
         pairs.map(lambda two: two[0] * two[1]),
         pairs.map(lambda two: two[0] / (2 + two[1] ** 2)),
-        st.tuples(leaves, st.sampled_from([2, 3, 5])).map(lambda two: two[0] ** two[1] / 7),
+        st.tuples(leaves, st.sampled_from([2, 3, 5])).map(
+            lambda two: two[0] ** two[1] / 7
+        ),
         leaves.map(lambda one: sympy.sqrt(1 + one**2)),
         leaves.map(lambda one: (1 + one**2) ** sympy.Rational(-3, 2)),
         leaves.map(lambda one: sympy.exp(-(one**2))),
@@ -100,7 +131,10 @@ def trees(leaves: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
 
 
 EXPRESSIONS = st.recursive(
-    st.one_of(st.sampled_from([*X, *U, *P]), st.sampled_from([1, sympy.Rational(1, 3), -2.5, sympy.pi])),
+    st.one_of(
+        st.sampled_from([*X, *U, *P]),
+        st.sampled_from([1, sympy.Rational(1, 3), -2.5, sympy.pi]),
+    ),
     trees,
     max_leaves=6,
 )

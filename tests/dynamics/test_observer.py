@@ -39,8 +39,14 @@ def differences(function: Any, point: Array) -> Array:
     columns = []
     for j in range(point.size):
         step = np.zeros(point.size)
-        step[j] = 1e-5 * max(1.0, abs(point[j])) if abs(point[j]) > 0.5 else 1e-6 * max(abs(point[j]), 1e-3)
-        columns.append((function(point + step) - function(point - step)) / (2 * step[j]))
+        step[j] = (
+            1e-5 * max(1.0, abs(point[j]))
+            if abs(point[j]) > 0.5
+            else 1e-6 * max(abs(point[j]), 1e-3)
+        )
+        columns.append(
+            (function(point + step) - function(point - step)) / (2 * step[j])
+        )
     return np.array(columns).T
 
 
@@ -50,7 +56,9 @@ class Textbook:
     The vector is the states and, after them, parameters that wander.
     """
 
-    def __init__(self, base: Parameters, names: list[str], z: Array, covariance: Array, q: Array) -> None:
+    def __init__(
+        self, base: Parameters, names: list[str], z: Array, covariance: Array, q: Array
+    ) -> None:
         self.base = base
         self.names = names
         self.z = z
@@ -59,7 +67,9 @@ class Textbook:
         self.n = len(base.model.states)
 
     def plant(self, z: Array) -> Parameters:
-        return self.base.replace(**dict(zip(self.names, z[self.n :].tolist(), strict=True)))
+        return self.base.replace(
+            **dict(zip(self.names, z[self.n :].tolist(), strict=True))
+        )
 
     def correct(self, reading: float, row: Array | None) -> tuple[float, float]:
         def measured(z: Array) -> Array:
@@ -76,7 +86,9 @@ class Textbook:
 
     def predict(self, u: float, period: float, row: Array | None) -> None:
         def tick(z: Array) -> Array:
-            return np.concatenate([advance(self.plant(z), z[: self.n], u, period, row), z[self.n :]])
+            return np.concatenate(
+                [advance(self.plant(z), z[: self.n], u, period, row), z[self.n :]]
+            )
 
         f = differences(tick, self.z)
         self.z = tick(self.z)
@@ -88,21 +100,38 @@ class Textbook:
     [
         (MASSIVE.parameters(), [], 22.85, 1.0),
         (MASSIVE.parameters(), ["conductance", "seebeck"], 22.85, 1.0),
-        (Peltier.model("sink with mass, sensor lag").parameters(), ["heat_capacity"], 30.0, 1.0),
+        (
+            Peltier.model("sink with mass, sensor lag").parameters(),
+            ["heat_capacity"],
+            30.0,
+            1.0,
+        ),
         (MOTOR.parameters(), ["dry", "k"], 20.0, 0.05),
         (Tank.model().parameters(), ["hole"], 1.5, 1.0),
     ],
-    ids=["Peltier", "Peltier, parameters wander", "Peltier with sensor lag", "motor", "tank"],
+    ids=[
+        "Peltier",
+        "Peltier, parameters wander",
+        "Peltier with sensor lag",
+        "motor",
+        "tank",
+    ],
 )
-def test_it_is_the_textbooks_filter(base: Parameters, names: list[str], first: float, period: float) -> None:
+def test_it_is_the_textbooks_filter(
+    base: Parameters, names: list[str], first: float, period: float
+) -> None:
     model = base.model
     drive = model.plant.drive
     rng = np.random.default_rng(3)
     states = begin(base, first)
-    start = np.array([0.013 * np.ptp(model.plant.states[name].span) for name in model.states])
+    start = np.array(
+        [0.013 * np.ptp(model.plant.states[name].span) for name in model.states]
+    )
     drift = 0.01 * start
     walks = {name: RandomWalk(1e-3 * base[name], 0.03 * base[name]) for name in names}
-    observer = Observer(base, first, period=period, drift=drift, start=start, random_walks=walks)
+    observer = Observer(
+        base, first, period=period, drift=drift, start=start, random_walks=walks
+    )
     slow = [w.drift for w in walks.values()]
     textbook = Textbook(
         base,
@@ -111,11 +140,15 @@ def test_it_is_the_textbooks_filter(base: Parameters, names: list[str], first: f
         np.diag(np.square([*start, *(w.start for w in walks.values())])),
         np.diag(np.square([*drift, *slow])) * period,
     )
-    loads = np.zeros((80, model.disturbances.size)) + 0.01 * (np.arange(80) > 30)[:, None]
+    loads = (
+        np.zeros((80, model.disturbances.size)) + 0.01 * (np.arange(80) > 30)[:, None]
+    )
     second_share = -0.5 if drive.limits[0] < 0 else 0.5
     for k in range(80):
         row = loads[k] if model.disturbances.size else None
-        reading = read(base, states, row) + model.plant.output.noise * rng.standard_normal()
+        reading = (
+            read(base, states, row) + model.plant.output.noise * rng.standard_normal()
+        )
         expected = textbook.correct(reading, row)
         correction = np.ravel(observer.correct(reading, row))
         np.testing.assert_allclose(correction, expected, rtol=1e-4, atol=1e-6)
@@ -128,7 +161,9 @@ def test_it_is_the_textbooks_filter(base: Parameters, names: list[str], first: f
     # Differences are good to some 1e-6 of a slope; the filters are compared in their own standard deviations.
     np.testing.assert_array_less(np.abs(estimates - textbook.z), 1e-3 * deviations)
     scale = np.outer(deviations, deviations)
-    np.testing.assert_allclose(observer.joint / scale, textbook.covariance / scale, atol=1e-3)
+    np.testing.assert_allclose(
+        observer.joint / scale, textbook.covariance / scale, atol=1e-3
+    )
 
 
 def test_a_linear_plant_settles_at_the_riccati_equation() -> None:
@@ -143,7 +178,9 @@ def test_a_linear_plant_settles_at_the_riccati_equation() -> None:
     a = math.exp(-period / 8.0)
     q = drift**2 * period
     r = Lag.output.noise**2
-    exact = scipy.linalg.solve_discrete_are(np.array([[a]]), np.eye(1), np.array([[q]]), np.array([[r]]))
+    exact = scipy.linalg.solve_discrete_are(
+        np.array([[a]]), np.eye(1), np.array([[q]]), np.array([[r]])
+    )
     np.testing.assert_allclose(observer.covariance, exact, rtol=1e-6)
 
 
@@ -155,11 +192,15 @@ def test_a_parameter_that_changes_is_followed() -> None:
     before = simulate_driven(rig, u[:1200], states=begin(rig, 22.85))
     after = simulate_driven(faulty, u[1200:], states=before.states[-1])
     rng = np.random.default_rng(8)
-    output = np.concatenate([before.output, after.output]) + 0.1 * rng.standard_normal(u.size)
+    output = np.concatenate([before.output, after.output]) + 0.1 * rng.standard_normal(
+        u.size
+    )
     drift = [1e-3, 1e-3]
     start = [0.2, 2.0]
     walks = {"sink_convection": RandomWalk(0.02, 0.1)}
-    observer = Observer(rig, output[0], period=1.0, drift=drift, start=start, random_walks=walks)
+    observer = Observer(
+        rig, output[0], period=1.0, drift=drift, start=start, random_walks=walks
+    )
     for k in range(u.size):
         observer.correct(output[k])
         if k == 1199:
@@ -174,7 +215,12 @@ def test_a_parameter_that_changes_is_followed() -> None:
 def test_a_wandering_parameter_stays_possible() -> None:
     rig = MOTOR.parameters(dry=0.0)
     observer = Observer(
-        rig, 100.0, period=0.05, drift=[0.1], start=[1.0], random_walks={"dry": RandomWalk(1.0, 1.0)}
+        rig,
+        100.0,
+        period=0.05,
+        drift=[0.1],
+        start=[1.0],
+        random_walks={"dry": RandomWalk(1.0, 1.0)},
     )
     for k in range(300):
         observer.correct(100.0 + 30.0 * (-1.0) ** k)
@@ -187,9 +233,14 @@ def test_single_wrong_readings_hardly_move_it_with_a_limit(limit: float) -> None
     """A camera that corrects its flat field: every 40th reading is 5 K off, fifty standard deviations."""
     rig = MASSIVE.parameters()
     run = simulate_closed_loop(
-        rig, np.full(800, 45.0), states=begin(rig, 40.0), sensor=Sensor(noise=0.1).realise(800, 1.0, 2)
+        rig,
+        np.full(800, 45.0),
+        states=begin(rig, 40.0),
+        sensor=Sensor(noise=0.1).realise(800, 1.0, 2),
     )
-    observer = Observer(rig, 40.0, period=1.0, drift=[0.02, 0.02], start=[0.2, 3.0], limit=limit)
+    observer = Observer(
+        rig, 40.0, period=1.0, drift=[0.02, 0.02], start=[0.2, 3.0], limit=limit
+    )
     errors = []
     for k in range(800):
         kicked = k % 40 == 20
@@ -203,7 +254,14 @@ def test_single_wrong_readings_hardly_move_it_with_a_limit(limit: float) -> None
 
 def test_a_surprise_within_the_limit_changes_nothing() -> None:
     observers = [
-        Observer(MASSIVE.parameters(), 30.0, period=1.0, drift=[0.1, 0.1], start=[1.0, 1.0], limit=limit)
+        Observer(
+            MASSIVE.parameters(),
+            30.0,
+            period=1.0,
+            drift=[0.1, 0.1],
+            start=[1.0, 1.0],
+            limit=limit,
+        )
         for limit in (math.inf, 3.0)
     ]
     for observer in observers:
@@ -211,10 +269,19 @@ def test_a_surprise_within_the_limit_changes_nothing() -> None:
         observer.predict(20.0)
     np.testing.assert_array_equal(observers[0].states, observers[1].states)
     np.testing.assert_array_equal(observers[0].joint, observers[1].joint)
-    most = Observer(MASSIVE.parameters(), 30.0, period=1.0, drift=[0.1, 0.1], start=[1.0, 1.0], limit=3.0)
+    most = Observer(
+        MASSIVE.parameters(),
+        30.0,
+        period=1.0,
+        drift=[0.1, 0.1],
+        start=[1.0, 1.0],
+        limit=3.0,
+    )
     surprise, variance = most.correct(50.0)
     assert surprise == pytest.approx(20.0)
-    assert most.states[0] - 303.15 == pytest.approx(3.0 / math.sqrt(variance[0]), rel=1e-9)
+    assert most.states[0] - 303.15 == pytest.approx(
+        3.0 / math.sqrt(variance[0]), rel=1e-9
+    )
 
 
 def plate_error(twin: Parameters, *, adaptive: bool) -> float:
@@ -222,10 +289,15 @@ def plate_error(twin: Parameters, *, adaptive: bool) -> float:
     rig = MASSIVE.parameters()
     steps = np.repeat([40.0, 55.0, 30.0, 50.0], 200)
     run = simulate_closed_loop(
-        rig, steps, states=begin(rig, 40.0), sensor=Sensor(noise=0.05).realise(800, 1.0, 4)
+        rig,
+        steps,
+        states=begin(rig, 40.0),
+        sensor=Sensor(noise=0.05).realise(800, 1.0, 4),
     )
     n = len(twin.model.states)
-    observer = Observer(twin, 40.0, period=1.0, drift=[0.03] * n, start=[4.5] * n, adaptive=adaptive)
+    observer = Observer(
+        twin, 40.0, period=1.0, drift=[0.03] * n, start=[4.5] * n, adaptive=adaptive
+    )
     errors = []
     for y, u, x in zip(run.output, run.input, run.states, strict=False):
         observer.correct(y)
@@ -237,12 +309,18 @@ def plate_error(twin: Parameters, *, adaptive: bool) -> float:
 def test_adapted_to_its_innovations_even_a_wrong_twin_follows_the_readings() -> None:
     """Its sink is held, its module three times too strong: it pulls away from every reading."""
     wrong = Peltier.model("held sink").parameters(seebeck=0.15)
-    assert plate_error(wrong, adaptive=True) < 2.0 * 0.05 < 0.2 * plate_error(wrong, adaptive=False)
+    assert (
+        plate_error(wrong, adaptive=True)
+        < 2.0 * 0.05
+        < 0.2 * plate_error(wrong, adaptive=False)
+    )
 
 
 def test_a_right_twin_keeps_the_drift_that_it_was_given() -> None:
     """The factor is a random walk that is held above 1: it costs less than a tenth of the precision."""
-    given_drift, adapted = (plate_error(MASSIVE.parameters(), adaptive=way) for way in (False, True))
+    given_drift, adapted = (
+        plate_error(MASSIVE.parameters(), adaptive=way) for way in (False, True)
+    )
     assert adapted < 1.1 * given_drift
 
 
@@ -255,7 +333,9 @@ def test_it_continues_in_the_middle_of_a_session() -> None:
     for k in range(100):
         first.correct(25.0 + 0.05 * k)
         first.predict(100.0)
-    second = Observer(first.parameters, states=first.states, covariance=first.joint, **settings_of)
+    second = Observer(
+        first.parameters, states=first.states, covariance=first.joint, **settings_of
+    )
     for k in range(50):
         assert first.correct(30.0 + 0.01 * k) == second.correct(30.0 + 0.01 * k)
         first.predict(-50.0)
@@ -270,7 +350,14 @@ def test_a_bank_moves_all_its_observers_as_each_would_move_alone() -> None:
 
     def new_observer(model: Model) -> Observer:
         n = len(model.states)
-        return Observer(model.parameters(), 25.0, period=1.0, drift=[1e-2] * n, start=[2.0] * n, limit=4.0)
+        return Observer(
+            model.parameters(),
+            25.0,
+            period=1.0,
+            drift=[1e-2] * n,
+            start=[2.0] * n,
+            limit=4.0,
+        )
 
     models = (Peltier.model("held sink"), MASSIVE)
     alone = [new_observer(model) for model in models]
@@ -302,8 +389,13 @@ def test_parameters_may_be_exchanged_at_any_sample() -> None:
     np.testing.assert_array_equal(observer.states, states)
     np.testing.assert_array_equal(observer.covariance, covariance)
     observer.predict(80.0)
-    np.testing.assert_allclose(observer.states, advance(better, states, 80.0, 1.0), rtol=1e-13)
-    with pytest.raises(PlantError, match="parameters of Peltier rig, held sink given; make a new observer"):
+    np.testing.assert_allclose(
+        observer.states, advance(better, states, 80.0, 1.0), rtol=1e-13
+    )
+    with pytest.raises(
+        PlantError,
+        match="parameters of Peltier rig, held sink given; make a new observer",
+    ):
         observer.parameters = Peltier.model("held sink").parameters()
 
 
@@ -315,7 +407,9 @@ def test_parameters_may_be_exchanged_at_any_sample() -> None:
     limit=st.sampled_from([1.0, 3.0, math.inf]),
     kick=st.floats(0.0, 50.0),
 )
-def test_the_covariance_stays_one(seed: int, drift: float, start: float, limit: float, kick: float) -> None:
+def test_the_covariance_stays_one(
+    seed: int, drift: float, start: float, limit: float, kick: float
+) -> None:
     """Symmetric to the last bit, positive semidefinite, whatever the readings are."""
     rng = np.random.default_rng(seed)
     rig = MASSIVE.parameters()
@@ -334,10 +428,14 @@ def test_the_covariance_stays_one(seed: int, drift: float, start: float, limit: 
 
 def test_states_that_are_lost_are_said() -> None:
     """A tank that holds less than nothing has no outflow; the filter would carry that on for ever."""
-    observer = Observer(Tank.model().parameters(), 0.1, period=1.0, drift=[0.1], start=[5.0])
+    observer = Observer(
+        Tank.model().parameters(), 0.1, period=1.0, drift=[0.1], start=[5.0]
+    )
     observer.correct(-3.0)
     observer.predict(0.0)
-    with pytest.raises(PlantError, match="Tank, open: its equations have no finite value at the obser"):
+    with pytest.raises(
+        PlantError, match="Tank, open: its equations have no finite value at the obser"
+    ):
         observer.correct(0.1)
 
 
@@ -345,18 +443,35 @@ def test_what_an_observer_cannot_use_is_refused() -> None:
     rig = MASSIVE.parameters()
 
     def observer_with(**changes: Any) -> Observer:
-        arguments = {"output": 25.0, "period": 1.0, "drift": [0.1, 0.1], "start": [1.0, 1.0]}
+        arguments = {
+            "output": 25.0,
+            "period": 1.0,
+            "drift": [0.1, 0.1],
+            "start": [1.0, 1.0],
+        }
         return Observer(rig, **{**arguments, **changes})
 
     for changes, message in (
         ({"drift": [0.1]}, "drift [0.1] given; give 2 finite standard deviations"),
         ({"start": [0.1, -1.0]}, "none negative (plate, sink)"),
-        ({"start": None}, "give an observer's start (standard deviations) or its covariance"),
+        (
+            {"start": None},
+            "give an observer's start (standard deviations) or its covariance",
+        ),
         ({"covariance": np.eye(2)}, "or its covariance, not both"),
-        ({"start": None, "covariance": np.eye(3)}, "shape (3, 3) given; give finite values, (2, 2)"),
+        (
+            {"start": None, "covariance": np.eye(3)},
+            "shape (3, 3) given; give finite values, (2, 2)",
+        ),
         ({"output": None}, "starts from an output or from states; give one"),
-        ({"states": [300.0]}, "states [300.0] given; give finite values of plate, sink"),
-        ({"random_walks": {"mass": RandomWalk(1.0, 1.0)}}, "'mass' cannot be estimated; choose from"),
+        (
+            {"states": [300.0]},
+            "states [300.0] given; give finite values of plate, sink",
+        ),
+        (
+            {"random_walks": {"mass": RandomWalk(1.0, 1.0)}},
+            "'mass' cannot be estimated; choose from",
+        ),
         ({"limit": 0.0}, "the observer's limit is 0.0; it must be positive"),
         ({"period": -1.0}, "the period is -1.0 s"),
     ):

@@ -56,12 +56,27 @@ def test_impossible_parameters_and_unknown_names_are_refused_in_words() -> None:
             "without friction: no parameter 'dry' in this structure; it has k, r",
             lambda: motor.parameters(dry=1),
         ),
-        ("j is 0 kg m²; it must be finite and positive", lambda: motor.parameters(j=0.0)),
-        ("b is -1 N m s/rad; it must be finite and at least 0", lambda: motor.parameters(b=-1.0)),
+        (
+            "j is 0 kg m²; it must be finite and positive",
+            lambda: motor.parameters(j=0.0),
+        ),
+        (
+            "b is -1 N m s/rad; it must be finite and at least 0",
+            lambda: motor.parameters(b=-1.0),
+        ),
         ("k is nan", lambda: motor.parameters(k=float("nan"))),
-        (r"drive_ripple is 1\.5 ; .* at least 0 and at most 1", lambda: rig.parameters(drive_ripple=1.5)),
-        ("ambient is 23 K; it must be finite and at least 150", lambda: rig.parameters(ambient=23.0)),
-        ("motor: no structure 'x'; it has without friction, with friction", lambda: Motor.model("x")),
+        (
+            r"drive_ripple is 1\.5 ; .* at least 0 and at most 1",
+            lambda: rig.parameters(drive_ripple=1.5),
+        ),
+        (
+            "ambient is 23 K; it must be finite and at least 150",
+            lambda: rig.parameters(ambient=23.0),
+        ),
+        (
+            "motor: no structure 'x'; it has without friction, with friction",
+            lambda: Motor.model("x"),
+        ),
         ("plant 'pump': not known; choose from peltier", lambda: find_plant("pump")),
     ):
         with pytest.raises(PlantError, match=message):
@@ -78,7 +93,11 @@ class _Parts:
     a = Parameter(unit="1/s", default=1.0, bounds=(0.1, 10.0))
 
 
-def plant_of(rates: str = "{p.x: p.u - p.a * p.x}", output: str = "p.x", start: str = "{p.x: p.y}") -> Plant:
+def plant_of(
+    rates: str = "{p.x: p.u - p.a * p.x}",
+    output: str = "p.x",
+    start: str = "{p.x: p.y}",
+) -> Plant:
     """A plant with these equations."""
 
     class Small(_Parts, Plant):
@@ -97,9 +116,18 @@ def plant_of(rates: str = "{p.x: p.u - p.a * p.x}", output: str = "p.x", start: 
     ("change", "message"),
     [
         ({"rates": "{}"}, "no state has a rate"),
-        ({"rates": "{p.a: 1}"}, "no state has a rate|`rates` has a, which is not declared as a state"),
-        ({"rates": "{p.x: p.z}"}, "the rate of x uses z, which is the output or a state without a rate"),
-        ({"rates": "{p.x: sympy.Symbol('w')}"}, "the rate of x uses 'w', which is not declared"),
+        (
+            {"rates": "{p.a: 1}"},
+            "no state has a rate|`rates` has a, which is not declared as a state",
+        ),
+        (
+            {"rates": "{p.x: p.z}"},
+            "the rate of x uses z, which is the output or a state without a rate",
+        ),
+        (
+            {"rates": "{p.x: sympy.Symbol('w')}"},
+            "the rate of x uses 'w', which is not declared",
+        ),
         ({"start": "{}"}, "state x has no start value"),
         ({"output": "2 * p.u"}, "the output depends on no state"),
         ({"output": "sympy.Abs(p.x, evaluate=False)"}, "the output has a kink"),
@@ -109,19 +137,30 @@ def plant_of(rates: str = "{p.x: p.u - p.a * p.x}", output: str = "p.x", start: 
         ),
     ],
 )
-def test_faulty_equations_are_refused_in_words(change: dict[str, str], message: str) -> None:
+def test_faulty_equations_are_refused_in_words(
+    change: dict[str, str], message: str
+) -> None:
     with pytest.raises(PlantError, match=message):
         derive(plant_of(**change), frozenset(), frozenset({"a"}))
 
 
-def test_corners_are_all_of_few_states_and_of_many_a_few_that_hold_every_triple() -> None:
+def test_corners_are_all_of_few_states_and_of_many_a_few_that_hold_every_triple() -> (
+    None
+):
     few = corners_of([(0.0, 1.0), (2.0, 5.0)])
     many = corners_of([(0.0, 1.0)] * 40)
-    assert {tuple(row) for row in few.tolist()} == {(0.0, 2.0), (0.0, 5.0), (1.0, 2.0), (1.0, 5.0)}
+    assert {tuple(row) for row in few.tolist()} == {
+        (0.0, 2.0),
+        (0.0, 5.0),
+        (1.0, 2.0),
+        (1.0, 5.0),
+    }
     assert len(many) < 200
     assert np.isin(many, (0.0, 1.0)).all()
     for first in range(38):
-        assert len(np.unique(many[:, first : first + 3], axis=0)) == 8, "equations of a chain"
+        assert len(np.unique(many[:, first : first + 3], axis=0)) == 8, (
+            "equations of a chain"
+        )
 
 
 def test_a_free_parameter_is_in_the_equations() -> None:
@@ -130,14 +169,21 @@ def test_a_free_parameter_is_in_the_equations() -> None:
         structures = {"all": Structure(free=("a", "b"))}  # noqa: RUF012
 
         def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
-            return Equations({self.x: self.u - self.a * self.x}, self.x, {self.x: self.y})
+            return Equations(
+                {self.x: self.u - self.a * self.x}, self.x, {self.x: self.y}
+            )
 
-    with pytest.raises(PlantError, match="structure 'all': b is free, but does not occur in the equations"):
+    with pytest.raises(
+        PlantError,
+        match="structure 'all': b is free, but does not occur in the equations",
+    ):
         Spare.model().parameters()
 
 
 def test_faulty_declarations_are_refused_in_words() -> None:
-    with pytest.raises(PlantError, match=r"is \(2.0, 1.0\); give two finite numbers, the smaller first"):
+    with pytest.raises(
+        PlantError, match=r"is \(2.0, 1.0\); give two finite numbers, the smaller first"
+    ):
         Parameter(default=1.0, bounds=(2.0, 1.0))
     for body, message in (
         ({}, "declares no Drive; declare at least one"),
@@ -148,7 +194,11 @@ def test_faulty_declarations_are_refused_in_words() -> None:
             "structure 's': no parameter 'k'; the plant has none",
         ),
         (
-            {"u": _Parts.u, "y": _Parts.y, "structures": {"s": Structure((), parts=frozenset({"lid"}))}},
+            {
+                "u": _Parts.u,
+                "y": _Parts.y,
+                "structures": {"s": Structure((), parts=frozenset({"lid"}))},
+            },
             "structure 's': no part 'lid'; the plant has none",
         ),
         (
@@ -161,24 +211,37 @@ def test_faulty_declarations_are_refused_in_words() -> None:
 
 
 @given(output=st.floats(25.0, 90.0), period=st.sampled_from([0.5, 1.0, 2.0]))
-def test_the_linearised_plant_is_that_of_small_movements(output: float, period: float) -> None:
+def test_the_linearised_plant_is_that_of_small_movements(
+    output: float, period: float
+) -> None:
     rig = MASSIVE.parameters(conductance=0.7)
     linear = linearised(rig, output, period)
     states, u = linear.rest
     assert read(rig, states) == pytest.approx(output, abs=1e-9)
     np.testing.assert_allclose(advance(rig, states, u, period), states, atol=1e-7)
     np.testing.assert_allclose(
-        advance(rig, states, u + 1e-3, period), states + 1e-3 * linear.B[:, 0], atol=1e-9 + 1e-8
+        advance(rig, states, u + 1e-3, period),
+        states + 1e-3 * linear.B[:, 0],
+        atol=1e-9 + 1e-8,
     )
     bump = np.array([1e-3, -2e-3])
-    np.testing.assert_allclose(advance(rig, states + bump, u, period), states + linear.A @ bump, atol=1e-7)
+    np.testing.assert_allclose(
+        advance(rig, states + bump, u, period), states + linear.A @ bump, atol=1e-7
+    )
 
 
 def test_where_a_plant_cannot_be_held_is_said() -> None:
-    with pytest.raises(PlantError, match="no PWM between -255 and 255 holds it at 300 °C"):
+    with pytest.raises(
+        PlantError, match="no PWM between -255 and 255 holds it at 300 °C"
+    ):
         rest_at(Peltier.model().parameters(), 300.0)
     with pytest.raises(PlantError, match="holds it at 60 °C"):
-        rest_at(MASSIVE.parameters(sink_convection=0.0, conductance=0.0, seebeck=0.0, supply=0.001), 60.0)
+        rest_at(
+            MASSIVE.parameters(
+                sink_convection=0.0, conductance=0.0, seebeck=0.0, supply=0.001
+            ),
+            60.0,
+        )
 
 
 def test_an_observer_finds_the_state_no_sensor_shows() -> None:
@@ -194,7 +257,9 @@ def test_an_observer_finds_the_state_no_sensor_shows() -> None:
         states=begin(rig, 22.85, starts={"sink": 311.0}),
         sensor=Sensor(noise=0.1).realise(1200, 1.0, 4),
     )
-    observer = Observer(rig, truth.output[0], period=1.0, drift=[1e-3, 1e-3], start=[0.2, 10.0])
+    observer = Observer(
+        rig, truth.output[0], period=1.0, drift=[1e-3, 1e-3], start=[0.2, 10.0]
+    )
     ratios = []
     for k in range(u.size):
         surprise, variance = observer.correct(truth.output[k])
@@ -216,7 +281,9 @@ class Positioner(Plant, name="positioner"):
     theta = State(unit="deg", span=(-200.0, 200.0), scale=10.0)
     omega = State(unit="deg/s", span=(-3000.0, 3000.0), scale=100.0)
     held = State(unit="V", span=(-12.0, 12.0), scale=1.0)
-    gain = Parameter(unit="deg/s/V", default=200.0, bounds=(20.0, 1000.0), positive=True)
+    gain = Parameter(
+        unit="deg/s/V", default=200.0, bounds=(20.0, 1000.0), positive=True
+    )
     lag = Parameter(unit="s", default=0.1, bounds=(0.02, 1.0), positive=True)
     late = Parameter(unit="s", default=0.03, bounds=(0.01, 0.2), positive=True)
     back = Parameter(unit="V s/deg", default=0.01, bounds=(0.0, 0.1), least=0.0)
@@ -234,7 +301,9 @@ class Positioner(Plant, name="positioner"):
 
 
 @pytest.mark.parametrize(("back", "steps"), [(0.0, 3), (0.01, 5)])
-def test_steps_follow_time_constants_whatever_the_units_of_the_states(back: float, steps: int) -> None:
+def test_steps_follow_time_constants_whatever_the_units_of_the_states(
+    back: float, steps: int
+) -> None:
     """Without feedback the shortest is 0.03 s: 5 ms / (0.06 · 0.03 s) = 2.8 steps. With it the two modes
     have a modulus of 31.6 1/s, 2.6 steps, which a norm of the balanced matrix bounds within a factor of two.
     Norms of the matrix as it stands, with its 2000 °/s²/V, ask for 167."""

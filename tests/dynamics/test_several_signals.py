@@ -42,7 +42,9 @@ SET_POINTS = np.repeat([[45.0, 38.0], [55.0, 40.0], [50.0, 48.0]], 60, axis=0)
 
 
 def closed_loop() -> Window:
-    run = simulate_closed_loop(PLANT, SET_POINTS, states=begin(PLANT, [40.0, 35.0]), law=LAW)
+    run = simulate_closed_loop(
+        PLANT, SET_POINTS, states=begin(PLANT, [40.0, 35.0]), law=LAW
+    )
     return Window(SET_POINTS, run.outputs, run.inputs, period=2.0)
 
 
@@ -61,7 +63,11 @@ def test_it_is_simulated_like_by_scipy() -> None:
     for k in range(120):
         np.testing.assert_allclose(window.outputs[k], x, atol=1e-6)
         x = solve_ivp(
-            lambda _, at, u=window.inputs[k]: rates(at, u), (0.0, 2.0), x, rtol=1e-10, atol=1e-10
+            lambda _, at, u=window.inputs[k]: rates(at, u),
+            (0.0, 2.0),
+            x,
+            rtol=1e-10,
+            atol=1e-10,
         ).y[:, -1]
 
 
@@ -77,7 +83,9 @@ def test_tangents_are_those_of_differences(closed: bool) -> None:
         step = np.zeros(values.size)
         step[j] = 1e-6 * abs(values[j])
         up, down = (experiment.simulate(values + sign * step) for sign in (1.0, -1.0))
-        both = [np.concatenate([run.outputs, run.inputs], axis=1).T for run in (up, down)]
+        both = [
+            np.concatenate([run.outputs, run.inputs], axis=1).T for run in (up, down)
+        ]
         differences = ((both[0] - both[1]) / (2.0 * step[j]))[:signals]
         size = np.max(np.abs(differences), axis=1, keepdims=True)
         # A difference may straddle a sample at which a command leaves its limit; the derivative does not.
@@ -85,7 +93,8 @@ def test_tangents_are_those_of_differences(closed: bool) -> None:
         assert np.mean(differs) < 0.02, name
     cost, gradient, hessian = experiment.normal(values)
     residuals = (
-        np.concatenate([exact.outputs, exact.inputs], axis=1).T[:signals] - experiment.measured[:signals]
+        np.concatenate([exact.outputs, exact.inputs], axis=1).T[:signals]
+        - experiment.measured[:signals]
     )
     jacobian = exact.by[:signals].reshape(-1, values.size)
     assert cost == pytest.approx(np.sum(residuals**2), abs=1e-18)
@@ -96,19 +105,25 @@ def test_tangents_are_those_of_differences(closed: bool) -> None:
 def test_its_linearisation_is_the_matrix_exponential() -> None:
     at_rest = rest_at(PLANT, [45.0, 38.0])
     linear = linearised(PLANT, [45.0, 38.0], 2.0)
-    np.testing.assert_allclose(advance(PLANT, at_rest.states, at_rest.inputs, 2.0), at_rest.states, atol=1e-9)
+    np.testing.assert_allclose(
+        advance(PLANT, at_rest.states, at_rest.inputs, 2.0), at_rest.states, atol=1e-9
+    )
     rates = Heaters.rates_of(dict(PLANT))
     point = np.append(at_rest.states, at_rest.inputs)
     slopes = np.zeros((4, 4))
     for j in range(4):
         moved = 1e-4 * np.eye(4)[j]
-        up, down = (rates((point + way)[:2], (point + way)[2:]) for way in (moved, -moved))
+        up, down = (
+            rates((point + way)[:2], (point + way)[2:]) for way in (moved, -moved)
+        )
         slopes[:2, j] = (np.array(up) - np.array(down)) / 2e-4
     whole = expm(2.0 * slopes)
     np.testing.assert_allclose(linear.A, whole[:2, :2], atol=1e-7)
     np.testing.assert_allclose(linear.B, whole[:2, 2:], atol=1e-7)
     np.testing.assert_array_equal(linear.C, np.eye(2))
-    with pytest.raises(SignalError, match="input: there are 2 of them; this is for a loop"):
+    with pytest.raises(
+        SignalError, match="input: there are 2 of them; this is for a loop"
+    ):
         _ = at_rest.input
 
 
@@ -118,7 +133,10 @@ def test_driven_it_is_matched() -> None:
     matched = match(driven(0.1), start=start, law=None)
     assert matched.accepted, matched.reason
     for j, name in enumerate(matched.free):
-        assert abs(matched.parameters[name] - PLANT[name]) < 4.0 * matched.standard_errors[j], name
+        assert (
+            abs(matched.parameters[name] - PLANT[name])
+            < 4.0 * matched.standard_errors[j]
+        ), name
     assert matched.chi2 == pytest.approx(1.0, abs=0.15)  # 598 residuals: σ = 0.06
 
 
@@ -128,7 +146,9 @@ def test_the_noise_of_each_reading_is_followed_around_the_loop() -> None:
     experiment = Experiment(PLANT, ("exchange", "second_gain"), window, law=LAW)
     tangents = experiment.tangents(experiment.values_of(PLANT))
     weights = np.array([[1.0, 0.5, 0.02, 0.02], [2.0, 1.0, 0.04, 0.04]])
-    sums, square = noise_scores(experiment, tangents, tangents.by * weights[0][:, None, None], weights)
+    sums, square = noise_scores(
+        experiment, tangents, tangents.by * weights[0][:, None, None], weights
+    )
     assert sums.shape == (2 * len(tangents.outputs), 2)
     assert math.isfinite(square)
     # The second output's noise, at one sample, through a run that is disturbed there.
@@ -154,7 +174,9 @@ def test_the_noise_of_each_reading_is_followed_around_the_loop() -> None:
 def test_it_is_observed_like_by_the_textbooks_filter() -> None:
     """Both readings at once with matrices, against one after the other in compiled code."""
     window = driven(0.1)
-    observer = Observer(PLANT, window.outputs[0], period=2.0, drift=[0.05, 0.05], start=[1.0, 2.0])
+    observer = Observer(
+        PLANT, window.outputs[0], period=2.0, drift=[0.05, 0.05], start=[1.0, 2.0]
+    )
     states = observer.states
     covariance = observer.covariance
     noise = np.diag(MODEL.noise**2)
@@ -164,7 +186,9 @@ def test_it_is_observed_like_by_the_textbooks_filter() -> None:
         states = states + gain @ (window.outputs[k] - states)
         covariance = (np.eye(2) - gain) @ covariance
         innovations, variances = observer.correct(window.outputs[k])
-        assert np.log(variances).sum() == pytest.approx(np.linalg.slogdet(innovation_covariance)[1], rel=1e-9)
+        assert np.log(variances).sum() == pytest.approx(
+            np.linalg.slogdet(innovation_covariance)[1], rel=1e-9
+        )
         assert innovations.shape == (2,)
         np.testing.assert_allclose(observer.states, states, rtol=1e-9)
         np.testing.assert_allclose(observer.covariance, covariance, rtol=1e-7)
@@ -173,7 +197,9 @@ def test_it_is_observed_like_by_the_textbooks_filter() -> None:
             PLANT.steps(2.0), np.zeros((2, 0), dtype=np.int64),
         )  # fmt: skip
         states = advance(PLANT, states, window.inputs[k], 2.0)
-        covariance = slopes[:, :2] @ covariance @ slopes[:, :2].T + 0.05**2 * 2.0 * np.eye(2)
+        covariance = slopes[:, :2] @ covariance @ slopes[
+            :, :2
+        ].T + 0.05**2 * 2.0 * np.eye(2)
         observer.predict(window.inputs[k])
 
 
@@ -192,7 +218,9 @@ def test_its_forecast_has_the_spread_of_random_runs() -> None:
         reference=reference,
         **common,
     )
-    run = simulate_closed_loop(PLANT, reference, states=at_rest.states, law=LAW, controller=integral)
+    run = simulate_closed_loop(
+        PLANT, reference, states=at_rest.states, law=LAW, controller=integral
+    )
     np.testing.assert_allclose(forecast.outputs, run.outputs, atol=1e-9)
     rng = np.random.default_rng(3)
     runs = []
@@ -206,7 +234,11 @@ def test_its_forecast_has_the_spread_of_random_runs() -> None:
         rows = []
         for k in range(size):
             y = x + 0.1 * rng.standard_normal(2)
-            u = np.clip(LAW.C @ z + LAW.D @ y + LAW.E @ reference[k] + LAW.offset, LAW.low, LAW.high)
+            u = np.clip(
+                LAW.C @ z + LAW.D @ y + LAW.E @ reference[k] + LAW.offset,
+                LAW.low,
+                LAW.high,
+            )
             z = LAW.A @ z + LAW.B @ y + LAW.F @ reference[k]
             rows.append(np.append(y, u))
             x = advance(PLANT, x, u, 2.0) + rng.standard_normal(2) * strays
@@ -218,15 +250,28 @@ def test_its_forecast_has_the_spread_of_random_runs() -> None:
 
 
 def test_what_is_for_one_loop_says_so() -> None:
-    with pytest.raises(PlantError, match=r"it has 2 outputs \(first, second\); this is for plants with one"):
+    with pytest.raises(
+        PlantError,
+        match=r"it has 2 outputs \(first, second\); this is for plants with one",
+    ):
         _ = Heaters.output
-    with pytest.raises(SignalError, match="output: there are 2 of them; this is for a loop with one of each"):
+    with pytest.raises(
+        SignalError,
+        match="output: there are 2 of them; this is for a loop with one of each",
+    ):
         _ = driven().output
-    with pytest.raises(PlantError, match="for 1 outputs and 1 inputs is given; the plant has 2 and 2"):
+    with pytest.raises(
+        PlantError, match="for 1 outputs and 1 inputs is given; the plant has 2 and 2"
+    ):
         simulate_closed_loop(
-            PLANT, SET_POINTS, states=begin(PLANT, [23.0, 23.0]), law=PidGains(1.0, 0.0, 0.0, 1.0, 0.0, 1.0)
+            PLANT,
+            SET_POINTS,
+            states=begin(PLANT, [23.0, 23.0]),
+            law=PidGains(1.0, 0.0, 0.0, 1.0, 0.0, 1.0),
         )
-    with pytest.raises(PlantError, match=r"input has shape \(3,\); give 2 values per sample"):
+    with pytest.raises(
+        PlantError, match=r"input has shape \(3,\); give 2 values per sample"
+    ):
         simulate_driven(PLANT, [1.0, 2.0, 3.0], states=begin(PLANT, [23.0, 23.0]))
     with pytest.raises(PlantError, match="1 outputs given; give first, second"):
         begin(PLANT, 23.0)

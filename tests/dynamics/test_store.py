@@ -53,9 +53,15 @@ def start(tmp_path: Path) -> Iterator[Start]:
     """Start a program beside the plant file, with an empty cache that nobody else has."""
     (tmp_path / "tank.py").write_text(PLANT)
     (tmp_path / "run.py").write_text(RUN)
-    environment = {**os.environ, "TWINMATCH_CACHE": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {
+        **os.environ,
+        "TWINMATCH_CACHE": str(tmp_path / "cache"),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
     processes = Processes(tmp_path / "output", environment)
-    yield lambda: processes.start(sys.executable, tmp_path / "run.py", folder=tmp_path, forked=True)
+    yield lambda: processes.start(
+        sys.executable, tmp_path / "run.py", folder=tmp_path, forked=True
+    )
     processes.end()
 
 
@@ -84,7 +90,9 @@ def load_afresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[],
     return load
 
 
-def test_a_second_use_takes_what_the_first_has_compiled(load_afresh: Callable[[], Path]) -> None:
+def test_a_second_use_takes_what_the_first_has_compiled(
+    load_afresh: Callable[[], Path],
+) -> None:
     stored = load_afresh()
     before = stored.stat()
     assert load_afresh() == stored
@@ -103,16 +111,22 @@ def test_two_programs_may_come_at_once(start: Start, tmp_path: Path) -> None:
     first = start()
     second = start()
     assert float(ended(first)) == float(ended(second)) == pytest.approx(1.5)
-    assert [path.suffix for path in (tmp_path / "cache").iterdir() if path.is_file()] == [".code"]
+    assert [
+        path.suffix for path in (tmp_path / "cache").iterdir() if path.is_file()
+    ] == [".code"]
 
 
 def test_a_changed_plant_is_derived_again(start: Start, tmp_path: Path) -> None:
     assert float(ended(start())) == pytest.approx(1.5)
-    (tmp_path / "tank.py").write_text(PLANT.replace("self.inflow / self.area", "2 * self.inflow / self.area"))
+    (tmp_path / "tank.py").write_text(
+        PLANT.replace("self.inflow / self.area", "2 * self.inflow / self.area")
+    )
     assert float(ended(start())) == pytest.approx(2.0)
 
 
-def test_equations_are_recognised_whatever_else_changes_in_the_file(tmp_path: Path) -> None:
+def test_equations_are_recognised_whatever_else_changes_in_the_file(
+    tmp_path: Path,
+) -> None:
     def equations(**changes: str) -> str:
         text = PLANT
         for before, after in changes.values():
@@ -125,25 +139,48 @@ def test_equations_are_recognised_whatever_else_changes_in_the_file(tmp_path: Pa
         return store.digest_of(derive(scope["Tank"](), frozenset(), frozenset()))
 
     digest = equations()
-    assert equations(comment=("    def equations", "    # m3\n    def equations")) == digest
-    assert equations(default=("default=2.0, bounds=(0.5, 8.0)", "default=3.0, bounds=(0.1, 9.0)")) == digest
-    assert equations(order=("self.inflow / self.area", "1 / self.area * self.inflow")) == digest
-    assert equations(rate=("self.inflow / self.area", "2 * self.inflow / self.area")) != digest
-    assert equations(start=("self.height: self.level", "self.height: self.level / 2")) != digest
+    assert (
+        equations(comment=("    def equations", "    # m3\n    def equations"))
+        == digest
+    )
+    assert (
+        equations(
+            default=("default=2.0, bounds=(0.5, 8.0)", "default=3.0, bounds=(0.1, 9.0)")
+        )
+        == digest
+    )
+    assert (
+        equations(order=("self.inflow / self.area", "1 / self.area * self.inflow"))
+        == digest
+    )
+    assert (
+        equations(rate=("self.inflow / self.area", "2 * self.inflow / self.area"))
+        != digest
+    )
+    assert (
+        equations(start=("self.height: self.level", "self.height: self.level / 2"))
+        != digest
+    )
     assert equations(output=("output=self.height", "output=self.height + 1")) != digest
-    assert Motor.model("with friction").equations != Motor.model("without friction").equations
+    assert (
+        Motor.model("with friction").equations
+        != Motor.model("without friction").equations
+    )
 
 
 def test_kernels_are_compiled_once_for_all_plants() -> None:
     """With a loop and without one, with kinks and disturbances or none: a second plant compiles nothing."""
     source = "".join(path.read_text(encoding="utf-8") for path in SOURCE.rglob("*.py"))
-    asked = set(re.findall(r"kernels\.([a-z_]+)\(", source)) - {"call"}  # which hands others the plant
+    # which hands others the plant
+    asked = set(re.findall(r"kernels\.([a-z_]+)\(", source)) - {"call"}
     assert len(asked) > 8
     compiled = []
     for plant in (Lag, Motor, Box):
         models = list(prepare(plant))
         assert [model.structure_name for model in models] == list(plant.structures)
-        compiled.append({name: getattr(models[0].kernels, name).func.signatures for name in asked})
+        compiled.append(
+            {name: getattr(models[0].kernels, name).func.signatures for name in asked}
+        )
     assert all(len(signatures) >= 1 for signatures in compiled[0].values())
     assert compiled[0] == compiled[1] == compiled[2]
 
@@ -151,7 +188,9 @@ def test_kernels_are_compiled_once_for_all_plants() -> None:
 def test_every_plant_that_comes_along_is_prepared() -> None:
     for plant in PLANTS.values():
         without_external = [
-            name for name, structure in plant.structures.items() if structure.external is None
+            name
+            for name, structure in plant.structures.items()
+            if structure.external is None
         ]
         assert [model.structure_name for model in prepare(plant)] == without_external
 
@@ -161,9 +200,13 @@ def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> No
     blocked.write_text("not a folder")
     environment = {**os.environ, "TWINMATCH_CACHE": str(blocked / "cache")}
     words = (sys.executable, "-m", "twinmatch.cli", "prepare")
-    process = Process(*words, output=tmp_path / "said.txt", environment=environment, forked=True)
+    process = Process(
+        *words, output=tmp_path / "said.txt", environment=environment, forked=True
+    )
     assert process.wait() == 2
     lines = process.lines
     assert len(lines) == 1
-    assert lines[0].startswith(f"twinmatch: {blocked / 'cache'}: cannot keep the compiled equations there")
+    assert lines[0].startswith(
+        f"twinmatch: {blocked / 'cache'}: cannot keep the compiled equations there"
+    )
     assert "TWINMATCH_CACHE" in lines[0]

@@ -82,17 +82,22 @@ def test_a_match_finds_the_outflow_of_a_tank_that_ran_empty() -> None:
     for j, step in enumerate(np.diag([1e-7, 1e-7])):
         up = experiment.simulate(values + step)
         down = experiment.simulate(values - step)
-        np.testing.assert_allclose(exact.by[0, :, j], (up.output - down.output) / 2e-7, atol=0.02)
+        np.testing.assert_allclose(
+            exact.by[0, :, j], (up.output - down.output) / 2e-7, atol=0.02
+        )
     low = begin(Cask.model().parameters(), -0.3)  # noise shows levels below zero
     assert np.isfinite(
-        experiment.model.kernels.slopes_at(experiment.base.vector, low, np.zeros(1), np.empty(0))[1]
+        experiment.model.kernels.slopes_at(
+            experiment.base.vector, low, np.zeros(1), np.empty(0)
+        )[1]
     ).all()
     filled = np.repeat([0.0, 8.0, 3.0], 100)
     truth = Cask.model().parameters(k=0.08, a=0.15)
     run = simulate_driven(truth, filled, states=begin(truth, 9.0))
     noise = 0.1 * np.random.default_rng(3).standard_normal(filled.size)
     matched = match(
-        Window(np.zeros(filled.size), run.output + noise, filled), start=Cask.model().parameters()
+        Window(np.zeros(filled.size), run.output + noise, filled),
+        start=Cask.model().parameters(),
     )
     assert matched.accepted, matched.reason
     assert matched.parameters["k"] == pytest.approx(0.08, rel=0.02)
@@ -102,8 +107,12 @@ def test_a_match_finds_the_outflow_of_a_tank_that_ran_empty() -> None:
 def test_a_root_that_stays_above_zero_is_exact() -> None:
     """A smooth root would bend, by a little, the valley of parameters that no data can tell apart."""
     tank = Tank.model().parameters()
-    slope = tank.model.kernels.slopes_at(tank.vector, np.array([4.0]), np.ones(1), np.empty(0))[1]
-    assert slope[0, 0] == pytest.approx(-tank["hole"] / (2 * 2.0) / tank["area"], rel=1e-14)
+    slope = tank.model.kernels.slopes_at(
+        tank.vector, np.array([4.0]), np.ones(1), np.empty(0)
+    )[1]
+    assert slope[0, 0] == pytest.approx(
+        -tank["hole"] / (2 * 2.0) / tank["area"], rel=1e-14
+    )
 
 
 PERIOD = 1.0
@@ -131,7 +140,9 @@ def recorded(gain: float, lag: float, delay: float, seed: int = 3) -> Window:
     random = np.random.default_rng(seed)
     u = np.repeat(random.uniform(5.0, 80.0, 12), 50)
     y = delayed_plant(u, gain, lag, delay) + random.normal(0.0, 0.1, u.size)
-    return Window(np.zeros(u.size), y, u, period=PERIOD, disturbances=np.full((u.size, 1), 20.0))
+    return Window(
+        np.zeros(u.size), y, u, period=PERIOD, disturbances=np.full((u.size, 1), 20.0)
+    )
 
 
 @pytest.mark.parametrize("order", [1, 2, 4, 6, 8])
@@ -148,10 +159,14 @@ def test_it_is_the_pade_approximation_of_the_tables(order: int) -> None:
     theirs = control.tf(*control.pade(theta, order, numdeg=order - 1))
     frequencies = np.logspace(-2, 1, 30) / theta
     # `control.pade` works with factorials in floating point: nine digits are left at order 8.
-    np.testing.assert_allclose(ours(1j * frequencies), theirs(1j * frequencies), rtol=1e-8)
+    np.testing.assert_allclose(
+        ours(1j * frequencies), theirs(1j * frequencies), rtol=1e-8
+    )
 
 
-@pytest.mark.parametrize(("lag", "delay"), [(30.0, 8.0), (12.0, 5.5), (20.0, 20.0), (60.0, 3.0)])
+@pytest.mark.parametrize(
+    ("lag", "delay"), [(30.0, 8.0), (12.0, 5.5), (20.0, 20.0), (60.0, 3.0)]
+)
 def test_a_delay_is_found_in_data_with_an_exact_one(lag: float, delay: float) -> None:
     window = recorded(0.8, lag, delay)
     matched = match(window, start=PIPE.parameters(), law=None)
@@ -161,13 +176,18 @@ def test_a_delay_is_found_in_data_with_an_exact_one(lag: float, delay: float) ->
     assert matched.parameters["lag"] == pytest.approx(lag, rel=0.02)
     assert matched.parameters["delay"] == pytest.approx(delay, rel=0.01)
     without = match(window, start=Exchanger.model("without").parameters(), law=None)
-    assert without.status.value != "accepted" or without.parameters["lag"] > lag + 0.5 * delay
+    assert (
+        without.status.value != "accepted"
+        or without.parameters["lag"] > lag + 0.5 * delay
+    )
 
 
 def test_the_loop_with_a_delay_is_matched() -> None:
     truth = PIPE.parameters(gain=0.8, lag=30.0, delay=9.0)
     reference = np.repeat([30.0, 30.0, 50.0, 40.0, 60.0], 200)
-    run = simulate_closed_loop(truth, reference, states=begin(truth, 30.0, input=12.5), law=Exchanger.loop)
+    run = simulate_closed_loop(
+        truth, reference, states=begin(truth, 30.0, input=12.5), law=Exchanger.loop
+    )
     # From where the loop has come to rest, since what was in the pipe before is taken to be constant.
     window = Window(reference[300:], run.output[300:], run.input[300:], period=PERIOD)
     matched = match(window, start=PIPE.parameters(gain=1.0, lag=20.0, delay=5.0))
@@ -177,9 +197,14 @@ def test_the_loop_with_a_delay_is_matched() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(
-    u=st.floats(0.0, 100.0), delay=st.floats(2.0, 60.0), lag=st.floats(2.0, 300.0), gain=st.floats(0.1, 1.0)
+    u=st.floats(0.0, 100.0),
+    delay=st.floats(2.0, 60.0),
+    lag=st.floats(2.0, 300.0),
+    gain=st.floats(0.1, 1.0),
 )
-def test_a_constant_signal_is_not_changed(u: float, delay: float, lag: float, gain: float) -> None:
+def test_a_constant_signal_is_not_changed(
+    u: float, delay: float, lag: float, gain: float
+) -> None:
     p = PIPE.parameters(gain=gain, lag=lag, delay=delay)
     start = begin(p, 20.0 + gain * u, input=u)
     run = simulate_driven(p, np.full(50, u), states=start)
@@ -190,7 +215,9 @@ def test_a_constant_signal_is_not_changed(u: float, delay: float, lag: float, ga
 @given(delay=st.floats(4.0, 30.0), lag=st.floats(5.0, 100.0))
 def test_tangents_are_exact(delay: float, lag: float) -> None:
     window = recorded(0.8, 30.0, 8.0)
-    experiment = Experiment(PIPE.parameters(), ("gain", "lag", "delay"), window, law=None)
+    experiment = Experiment(
+        PIPE.parameters(), ("gain", "lag", "delay"), window, law=None
+    )
     values = np.array([0.8, lag, delay])
     tangents = experiment.tangents(values).by[0]
     for j, step in enumerate((1e-5, 1e-3, 1e-3)):
@@ -198,8 +225,12 @@ def test_tangents_are_exact(delay: float, lag: float) -> None:
         low = values.copy()
         high[j] += step
         low[j] -= step
-        slope = (experiment.simulate(high).output - experiment.simulate(low).output) / (2 * step)
-        np.testing.assert_allclose(tangents[:, j], slope, atol=2e-4 * (1.0 + np.abs(slope).max()))
+        slope = (experiment.simulate(high).output - experiment.simulate(low).output) / (
+            2 * step
+        )
+        np.testing.assert_allclose(
+            tangents[:, j], slope, atol=2e-4 * (1.0 + np.abs(slope).max())
+        )
 
 
 def test_the_pipe_holds_what_was_commanded_before_the_start() -> None:
@@ -217,7 +248,8 @@ def test_the_pipe_holds_what_was_commanded_before_the_start() -> None:
     window = recorded(0.8, 30.0, 20.0)
     run = simulate_window(p.replace(gain=0.8, lag=30.0), window, law=None)
     assert abs(run.output[0] - window.output[2]) < 1e-9
-    assert np.abs(run.output[:40] - window.output[2:42]).max() < 0.5  # noise, not a pipe that was empty
+    # noise, not a pipe that was empty
+    assert np.abs(run.output[:40] - window.output[2:42]).max() < 0.5
 
 
 def test_its_linearisation_turns_the_phase() -> None:
@@ -225,7 +257,9 @@ def test_its_linearisation_turns_the_phase() -> None:
     a, b, c, period = linearised(p, 50.0, PERIOD)[:4]
     ours = control.ss(a, b, c, [[0.0]], period)
     w = np.logspace(-3, -1, 10)
-    exact = 0.8 / (30.0j * w + 1.0) * np.exp(-12.0j * w) * (1 - np.exp(-1j * w)) / (1j * w)
+    exact = (
+        0.8 / (30.0j * w + 1.0) * np.exp(-12.0j * w) * (1 - np.exp(-1j * w)) / (1j * w)
+    )
     np.testing.assert_allclose(ours(np.exp(1j * w)), exact, rtol=1e-4)
 
 
@@ -237,7 +271,9 @@ def test_its_linearisation_turns_the_phase() -> None:
         (2.0, (1.0, 0.0), "span of a dead time"),
     ],
 )
-def test_mistakes_in_a_dead_time_are_named(order: int, span: tuple[float, float], words: str) -> None:
+def test_mistakes_in_a_dead_time_are_named(
+    order: int, span: tuple[float, float], words: str
+) -> None:
     with pytest.raises(PlantError, match=words):
         DeadTime(span=span, order=order, text="flow")
 
@@ -249,7 +285,9 @@ def test_a_state_cannot_take_the_name_of_one_of_its_own() -> None:
             pipe_1 = State(unit="V", span=(0.0, 1.0))
             pipe = DeadTime(unit="V", span=(0.0, 1.0))
 
-    error = caught.value if isinstance(caught.value, PlantError) else caught.value.__cause__
+    error = (
+        caught.value if isinstance(caught.value, PlantError) else caught.value.__cause__
+    )
     assert "'pipe_1' is a state of the dead time 'pipe'" in str(error)
 
 
@@ -264,12 +302,18 @@ def test_a_start_that_uses_a_state_is_refused_in_words() -> None:
 
         def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
             return Equations(
-                rates={self.x: (self.u - self.x) / self.lag, self.z: (self.x - self.z) / self.lag},
+                rates={
+                    self.x: (self.u - self.x) / self.lag,
+                    self.z: (self.x - self.z) / self.lag,
+                },
                 output=self.z,
                 start={self.z: self.y, self.x: self.z},
             )
 
-    with pytest.raises(PlantError, match="the start of x uses z, which is not known before the first sample"):
+    with pytest.raises(
+        PlantError,
+        match="the start of x uses z, which is not known before the first sample",
+    ):
         begin(Early.model().parameters(), 1.0)
 
 
@@ -278,9 +322,15 @@ def test_a_dead_zone_passes_the_excess_and_dry_friction_opposes(
     value: float, width: float, softness: float
 ) -> None:
     beyond_zone = float(dead_zone(sympy.Float(value), sympy.Float(width)))
-    assert beyond_zone == pytest.approx(math.copysign(max(abs(value) - width, 0.0), value), abs=1e-12)
-    force = float(dry_friction(sympy.Float(value), sympy.Float(2.0), sympy.Float(softness)))
+    assert beyond_zone == pytest.approx(
+        math.copysign(max(abs(value) - width, 0.0), value), abs=1e-12
+    )
+    force = float(
+        dry_friction(sympy.Float(value), sympy.Float(2.0), sympy.Float(softness))
+    )
     assert abs(force) < 2.0
     assert force * value <= 0.0
-    half = float(dry_friction(sympy.Float(softness), sympy.Float(2.0), sympy.Float(softness)))
+    half = float(
+        dry_friction(sympy.Float(softness), sympy.Float(2.0), sympy.Float(softness))
+    )
     assert half == pytest.approx(-1.0)

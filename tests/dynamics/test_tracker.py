@@ -10,7 +10,13 @@ from hypothesis import strategies as st
 from tests.support.plants import Lag
 from twinmatch.dynamics import advance, begin
 from twinmatch.dynamics.filters import Readings
-from twinmatch.dynamics.tracker import Assumed, Belief, TrackedCourse, Tracker, no_traces
+from twinmatch.dynamics.tracker import (
+    Assumed,
+    Belief,
+    TrackedCourse,
+    Tracker,
+    no_traces,
+)
 
 PERIOD = 1.0
 NOISE = 0.01
@@ -27,7 +33,9 @@ def stretch(seed: int, size: int, share: float = 1.0, rate: float = 0.0) -> Read
         y[k] = states[0] + random.normal(0.0, NOISE) + rate * k
         states = advance(TRUTH, states, share * u[k], PERIOD)
     before = np.full(2, np.nan)
-    return Readings(np.concatenate([before, y]), u, np.zeros((size, 0)), np.full(size, NOISE))
+    return Readings(
+        np.concatenate([before, y]), u, np.zeros((size, 0)), np.full(size, NOISE)
+    )
 
 
 def tracker() -> Tracker:
@@ -44,7 +52,10 @@ def test_parameters_are_found_to_within_what_is_believed(seed: int) -> None:
     lag_tracker = tracker()
     belief, _ = lag_tracker.run(first(lag_tracker), stretch(seed, 300), 0)
     for name in lag_tracker.free:
-        spread = np.sqrt(belief.covariance[lag_tracker.at[name], lag_tracker.at[name]]) * TRUTH[name]
+        spread = (
+            np.sqrt(belief.covariance[lag_tracker.at[name], lag_tracker.at[name]])
+            * TRUTH[name]
+        )
         assert lag_tracker.named(belief, name) == pytest.approx(
             TRUTH[name], abs=5 * spread + 1e-3 * TRUTH[name]
         )
@@ -117,13 +128,18 @@ def test_what_is_opened_is_found() -> None:
     lag_tracker = tracker()
     learned, _ = lag_tracker.run(first(lag_tracker), stretch(1, 300), 0)
     later = lag_tracker.again(learned, 0.0, 0.0, np.zeros(0))
-    weak, saved = lag_tracker.run(later.opened(lag_tracker.share, 0.0, 0.3), stretch(2, 100, share=0.7), 0)
+    weak, saved = lag_tracker.run(
+        later.opened(lag_tracker.share, 0.0, 0.3), stretch(2, 100, share=0.7), 0
+    )
     _, plain = lag_tracker.run(later, stretch(2, 100, share=0.7), 0)
     assert weak.values[lag_tracker.share] == pytest.approx(-0.3, abs=0.02)
     assert saved < plain - 20
     creeping = stretch(2, 100, rate=0.02)
     crept, _ = TrackedCourse(
-        lag_tracker, later.opened(lag_tracker.rate, 0.0, 0.02), 0, rising=lag_tracker.offset
+        lag_tracker,
+        later.opened(lag_tracker.rate, 0.0, 0.02),
+        0,
+        rising=lag_tracker.offset,
     ).to(creeping)
     assert crept.values[lag_tracker.rate] == pytest.approx(0.02, rel=0.1)
 
@@ -140,7 +156,9 @@ def test_readings_tracked_as_they_come_give_the_same_bits_as_all_at_once(
     }
     opened = np.full(lag_tracker.size, 0.05)
     before = first(lag_tracker).opened(lag_tracker.rate, 0.0, 0.02)
-    whole, cost = TrackedCourse(lag_tracker, before, 0, opened=opened, **options).to(record)
+    whole, cost = TrackedCourse(lag_tracker, before, 0, opened=opened, **options).to(
+        record
+    )
     course = TrackedCourse(lag_tracker, before, 0, opened=opened, **options)
     for end in (1, 20, 45, 100):
         parts = course.to(record.part(0, end))
@@ -157,13 +175,15 @@ def test_traces_forecast_what_a_jump_leaves_in_the_surprises() -> None:
     record = stretch(2, 100, rate=0.0)._replace()
     record.output[2:] += 0.05
     traces = no_traces(lag_tracker.size)._replace(
-        effects=np.zeros((lag_tracker.size, 1, 1)), hits=np.zeros((1, 1)), weights=np.zeros((1, 1))
+        effects=np.zeros((lag_tracker.size, 1, 1)),
+        hits=np.zeros((1, 1)),
+        weights=np.zeros((1, 1)),
     )
     traces.effects[lag_tracker.offset, 0, 0] = 1.0
     _, plain = lag_tracker.run(later, record, 0, traces=traces)
     spread = 0.1
-    promised = 0.5 * traces.hits[0, 0] ** 2 / (traces.weights[0, 0] + spread**-2) - 0.5 * np.log1p(
-        traces.weights[0, 0] * spread**2
-    )
+    promised = 0.5 * traces.hits[0, 0] ** 2 / (
+        traces.weights[0, 0] + spread**-2
+    ) - 0.5 * np.log1p(traces.weights[0, 0] * spread**2)
     _, saved = lag_tracker.run(later.opened(lag_tracker.offset, 0.0, spread), record, 0)
     assert plain - saved == pytest.approx(promised, rel=0.3, abs=1.0)

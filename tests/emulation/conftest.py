@@ -51,19 +51,24 @@ class RigProcess:
 def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """The simulator is compiled into a cache of the test run."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TWINMATCH_CACHE", str(cache_folder()))  # the plants' equations are ready where they are
+        # the plants' equations are ready where they are
+        patch.setenv("TWINMATCH_CACHE", str(cache_folder()))
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
 
 
 @pytest.fixture
-def rig(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., RigProcess]]:
+def rig(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Callable[..., RigProcess]]:
     """Start a virtual rig, its files in `tmp_path`: `rig("--speed", "20")`; it is ready on return."""
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
     processes = Processes(tmp_path_factory.mktemp("output"), environment)
 
     def start(*arguments: str, ready: bool = True) -> RigProcess:
-        started = RigProcess(processes.python("-m", "twinmatch.cli", "virtual-rig", *arguments))
+        started = RigProcess(
+            processes.python("-m", "twinmatch.cli", "virtual-rig", *arguments)
+        )
         if ready:
             started.said("ready")
         return started
@@ -113,7 +118,9 @@ class Controller:
 
     def _wait_for_time_after(self, before: int) -> int:
         with self._moved:
-            assert self._moved.wait_for(lambda: self._now != before, PATIENCE), "the clock stands"
+            assert self._moved.wait_for(lambda: self._now != before, PATIENCE), (
+                "the clock stands"
+            )
             return self._now
 
     def hold(self, reference: float, seconds: float) -> list[Tick]:
@@ -125,7 +132,9 @@ class Controller:
             news = self.thermal.news()
             if time >= start + len(ticks) * 1e9 and news is not None:
                 y = region(news.frame, PLATE).mean
-                ticks.append(Tick((time - start) / 1e9, y, self._pid.step(reference, y)[0]))
+                ticks.append(
+                    Tick((time - start) / 1e9, y, self._pid.step(reference, y)[0])
+                )
             if ticks and time - sent >= 1e8:
                 sent = time
                 self._command(ticks[-1].pwm)
@@ -138,7 +147,8 @@ class Controller:
         except PwmLinkError as error:
             self.errors.append(error)
             with contextlib.suppress(PwmLinkError):
-                if isinstance(error, PwmLatchedError):  # a machine that is busy may miss a deadline of 50 ms
+                if isinstance(error, PwmLatchedError):
+                    # a machine that is busy may miss a deadline of 50 ms
                     self.link.clear()
                 else:
                     self.link.open()

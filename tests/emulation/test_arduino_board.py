@@ -18,9 +18,21 @@ from tests.support.damage import damaged_lines
 from tests.support.places import PROJECT
 from twinmatch.emulation import arduino_virtual
 from twinmatch.emulation.arduino import ArduinoError, StandInArduino
-from twinmatch.emulation.arduino_virtual import VirtualArduino, VirtualTools, build_virtual_board
+from twinmatch.emulation.arduino_virtual import (
+    VirtualArduino,
+    VirtualTools,
+    build_virtual_board,
+)
 from twinmatch.links.pwm_link import AMPERES_PER_COUNT
-from twinmatch.links.pwm_protocol import PROTOCOL, Banner, BoardStatus, Code, Flags, Refusal, seal
+from twinmatch.links.pwm_protocol import (
+    PROTOCOL,
+    Banner,
+    BoardStatus,
+    Code,
+    Flags,
+    Refusal,
+    seal,
+)
 
 FUZZ = int(os.environ.get("TWINMATCH_FUZZ", "2000"))
 DEADLINE = 1.0
@@ -83,7 +95,9 @@ def test_zero_is_on_and_braking(board: Board, wire: Wire) -> None:
     assert board.drive()[1:] == (0.0, True)
 
 
-def test_silence_trips_at_the_deadline_and_the_trip_stays_until_cleared(board: Board, wire: Wire) -> None:
+def test_silence_trips_at_the_deadline_and_the_trip_stays_until_cleared(
+    board: Board, wire: Wire
+) -> None:
     wire.ready()
     wire.send(seal("P 2 200"))
     for _ in range(10):
@@ -101,7 +115,9 @@ def test_silence_trips_at_the_deadline_and_the_trip_stays_until_cleared(board: B
 
 
 @pytest.mark.parametrize("repeat", ["Q 3", "P 2 9", "P 1 9"])
-def test_the_deadline_passes_by_the_boards_own_word(board: Board, wire: Wire, repeat: str) -> None:
+def test_the_deadline_passes_by_the_boards_own_word(
+    board: Board, wire: Wire, repeat: str
+) -> None:
     wire.ready()
     wire.status("P 2 9")
     board.advance(0.8)
@@ -121,7 +137,9 @@ def test_new_set_points_keep_it_alive(board: Board, wire: Wire) -> None:
     assert wire.status("Q 9").applied == 77
 
 
-def test_repeated_set_points_are_answered_but_do_not_feed_the_deadline(board: Board, wire: Wire) -> None:
+def test_repeated_set_points_are_answered_but_do_not_feed_the_deadline(
+    board: Board, wire: Wire
+) -> None:
     wire.ready()
     wire.status("P 2 200")
     start = board.drive().time
@@ -131,18 +149,26 @@ def test_repeated_set_points_are_answered_but_do_not_feed_the_deadline(board: Bo
         assert repeated.applied == 200
         assert repeated.flags & Flags.DUPLICATE
     assert wire.status("P 1 33").flags & Flags.DUPLICATE  # an older one does no better
-    assert board.drive().time - start + seconds_until_off(board, limit=0.3) <= DEADLINE + 0.003
+    assert (
+        board.drive().time - start + seconds_until_off(board, limit=0.3)
+        <= DEADLINE + 0.003
+    )
 
 
 @pytest.mark.parametrize("question", ["Q 2", "X 2", "P 2 256", "P 2 nan"])
-def test_nothing_else_feeds_the_deadline(board: Board, wire: Wire, question: str) -> None:
+def test_nothing_else_feeds_the_deadline(
+    board: Board, wire: Wire, question: str
+) -> None:
     wire.ready()
     wire.status("P 2 200")
     start = board.drive().time
     for _ in range(9):
         board.advance(0.1)
         wire.ask(question.replace("2", "5", 1))
-    assert board.drive().time - start + seconds_until_off(board, limit=0.2) <= DEADLINE + 0.003
+    assert (
+        board.drive().time - start + seconds_until_off(board, limit=0.2)
+        <= DEADLINE + 0.003
+    )
 
 
 def test_a_greeting_lets_go_of_the_output(board: Board, wire: Wire) -> None:
@@ -168,7 +194,9 @@ def test_an_old_clear_does_not_clear(board: Board, wire: Wire) -> None:
 
 
 @pytest.mark.parametrize("pwm", [200, -200])
-def test_a_change_of_direction_passes_through_zero(board: Board, wire: Wire, pwm: int) -> None:
+def test_a_change_of_direction_passes_through_zero(
+    board: Board, wire: Wire, pwm: int
+) -> None:
     wire.ready()
     wire.status(f"P 2 {pwm}")
     wire.send(seal(f"P 3 {-pwm}"))
@@ -202,7 +230,9 @@ def test_a_lasting_fault_trips_again_after_clearing(board: Board, wire: Wire) ->
     assert wire.status("Q 3").flags & Flags.DRIVER
 
 
-def test_the_low_flag_of_a_driver_that_is_off_is_not_a_fault(board: Board, wire: Wire) -> None:
+def test_the_low_flag_of_a_driver_that_is_off_is_not_a_fault(
+    board: Board, wire: Wire
+) -> None:
     wire.ready()
     board.set_fault(True)
     board.advance(0.5)
@@ -215,10 +245,14 @@ def test_current_is_measured(board: Board, wire: Wire, amperes: float) -> None:
     board.set_current(amperes)
     board.advance(0.1)
     counts = wire.status("Q 1").adc
-    assert counts * AMPERES_PER_COUNT == pytest.approx(amperes, abs=1.5 * AMPERES_PER_COUNT)
+    assert counts * AMPERES_PER_COUNT == pytest.approx(
+        amperes, abs=1.5 * AMPERES_PER_COUNT
+    )
 
 
-def test_hung_firmware_is_restarted_by_the_watchdog_and_comes_back_off(board: Board, wire: Wire) -> None:
+def test_hung_firmware_is_restarted_by_the_watchdog_and_comes_back_off(
+    board: Board, wire: Wire
+) -> None:
     wire.ready()
     wire.status("P 2 200")
     board.hang()
@@ -235,7 +269,9 @@ def test_hung_firmware_is_restarted_by_the_watchdog_and_comes_back_off(board: Bo
     reconnected.close()
 
 
-def test_a_pulled_cable_trips_and_a_returned_one_finds_it_latched(board: Board, wire: Wire) -> None:
+def test_a_pulled_cable_trips_and_a_returned_one_finds_it_latched(
+    board: Board, wire: Wire
+) -> None:
     wire.ready()
     wire.status("P 2 200")
     board.unplug()
@@ -249,14 +285,17 @@ def test_a_pulled_cable_trips_and_a_returned_one_finds_it_latched(board: Board, 
     reconnected.close()
 
 
-def test_a_host_that_stops_reading_cannot_hold_up_the_firmware(board: Board, wire: Wire) -> None:
+def test_a_host_that_stops_reading_cannot_hold_up_the_firmware(
+    board: Board, wire: Wire
+) -> None:
     wire.ready()
     # Replies of about 25 bytes: enough of them to fill 64 kB of the port and every buffer of the board.
     for sequence in range(2, 4002):
         wire.send(seal(f"P {sequence} 50"))
         board.advance(0.004)
     assert board.drive().pwm == pytest.approx(50, abs=0.16)
-    assert seconds_until_off(board, limit=1.05) > 0.9  # alive to the end, and tripped by its deadline
+    # alive to the end, and tripped by its deadline
+    assert seconds_until_off(board, limit=1.05) > 0.9
     while wire.heard():
         board.advance(0.01)
     status = wire.status("Q 4002")
@@ -265,7 +304,9 @@ def test_a_host_that_stops_reading_cannot_hold_up_the_firmware(board: Board, wir
 
 
 @pytest.mark.parametrize("board", ["simavr"], indirect=True)
-def test_opening_and_closing_at_1200_baud_leads_to_the_boot_loader(board: Board, wire: Wire) -> None:
+def test_opening_and_closing_at_1200_baud_leads_to_the_boot_loader(
+    board: Board, wire: Wire
+) -> None:
     wire.ready()
     wire.status("P 2 200")
     mode = termios.tcgetattr(wire.descriptor)
@@ -319,13 +360,16 @@ def allowed(payload: str, applied: int) -> set[int]:
     return {applied, int(payload.split()[2]) if payload.startswith("P") else 0}
 
 
-def test_no_damaged_frame_is_acted_on_with_a_changed_meaning(board: Board, wire: Wire) -> None:
+def test_no_damaged_frame_is_acted_on_with_a_changed_meaning(
+    board: Board, wire: Wire
+) -> None:
     for n, (payload, line) in enumerate(damaged_lines(FUZZ, seed=11)):
         if n % 50 == 0:
             wire.ready()
             applied = wire.status("P 2 -77").applied
         wire.send(line + b"\n")
-        board.advance(0.008)  # what it answers to that must not crowd out the reply to the next
+        # what it answers to that must not crowd out the reply to the next
+        board.advance(0.008)
         wire.send(seal("Q 60000"))
         reply = wire.wait(lambda r: isinstance(r, BoardStatus) and r.sequence == 60000)
         assert isinstance(reply, BoardStatus)
@@ -365,12 +409,15 @@ def test_a_stand_in_takes_nobody_elses_place(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("missing", "words"), [("avr-g++", "install gcc-avr"), ("", "install libsimavr-dev")]
+    ("missing", "words"),
+    [("avr-g++", "install gcc-avr"), ("", "install libsimavr-dev")],
 )
 def test_what_is_missing_is_named(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, missing: str, words: str
 ) -> None:
-    monkeypatch.setattr(shutil, "which", lambda tool: None if tool == missing else f"/usr/bin/{tool}")
+    monkeypatch.setattr(
+        shutil, "which", lambda tool: None if tool == missing else f"/usr/bin/{tool}"
+    )
     monkeypatch.setattr(arduino_virtual, "SIMAVR_HEADER", tmp_path / "nowhere.h")
     with pytest.raises(ArduinoError, match=words):
         build_virtual_board(PROJECT, tmp_path)
@@ -382,14 +429,18 @@ def test_sources_that_do_not_compile_are_reported_with_the_compilers_words(
     if shutil.which("make") is None:
         pytest.skip("no make on this machine")
     (tmp_path / "firmware").mkdir()
-    (tmp_path / "firmware" / "Makefile").write_text("all:\n\t@echo too bad >&2; exit 1\n")
+    (tmp_path / "firmware" / "Makefile").write_text(
+        "all:\n\t@echo too bad >&2; exit 1\n"
+    )
     monkeypatch.setattr(arduino_virtual, "SIMAVR_HEADER", Path(__file__))
     monkeypatch.setattr(arduino_virtual, "TOOLS", {"make": "make"})
     with pytest.raises(ArduinoError, match="firmware does not compile:\ntoo bad"):
         build_virtual_board(tmp_path, tmp_path / "build")
 
 
-def test_a_simulator_that_is_not_there_and_one_that_ends_at_once(tmp_path: Path) -> None:
+def test_a_simulator_that_is_not_there_and_one_that_ends_at_once(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(ArduinoError, match="does not start"):
         VirtualArduino(VirtualTools(tmp_path / "nothing", tmp_path / "image.elf"))
     with pytest.raises(ArduinoError, match="its process has ended: no image"):
@@ -404,8 +455,12 @@ def test_a_simulator_without_an_image_is_an_error(tmp_path: Path) -> None:
         VirtualArduino(VirtualTools(parts.program, tmp_path / "no.elf"))
 
 
-def test_a_simulator_that_ends_later_is_an_error_of_every_command(tmp_path: Path) -> None:
-    simulator = VirtualArduino(program(tmp_path / "simulator", "echo state 0 0 0 800 0 0 1; read line"))
+def test_a_simulator_that_ends_later_is_an_error_of_every_command(
+    tmp_path: Path,
+) -> None:
+    simulator = VirtualArduino(
+        program(tmp_path / "simulator", "echo state 0 0 0 800 0 0 1; read line")
+    )
     with pytest.raises(ArduinoError, match="its process has ended"):
         simulator.advance(0.1)
     with pytest.raises(ArduinoError, match="its process has ended"):
@@ -413,7 +468,15 @@ def test_a_simulator_that_ends_later_is_an_error_of_every_command(tmp_path: Path
     simulator.close()
 
 
-def test_a_command_that_a_simulator_of_another_version_refuses_is_an_error(tmp_path: Path) -> None:
-    tools = program(tmp_path / "simulator", "echo state 0 0 0 800 0 0 1; read line; echo error; read line")
-    with VirtualArduino(tools) as simulator, pytest.raises(ArduinoError, match="it refused a command"):
+def test_a_command_that_a_simulator_of_another_version_refuses_is_an_error(
+    tmp_path: Path,
+) -> None:
+    tools = program(
+        tmp_path / "simulator",
+        "echo state 0 0 0 800 0 0 1; read line; echo error; read line",
+    )
+    with (
+        VirtualArduino(tools) as simulator,
+        pytest.raises(ArduinoError, match="it refused a command"),
+    ):
         simulator.hang()

@@ -45,7 +45,9 @@ KINDS = [kind for kind in boards.KINDS if kind != "real"]
 def spent(drive: Iterable[float], period: float) -> Iterator[float]:
     """What of the budget is spent after each period (s) of these drives, PWM·s."""
     return itertools.accumulate(
-        drive, lambda so_far, pwm: max(0.0, so_far + (abs(pwm) - HOLD) * period), initial=0
+        drive,
+        lambda so_far, pwm: max(0.0, so_far + (abs(pwm) - HOLD) * period),
+        initial=0,
     )
 
 
@@ -56,11 +58,15 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> VirtualTools:
     if isinstance(parts, str):
         pytest.skip(parts)
     folder = tmp_path_factory.mktemp("short") / "firmware"
-    shutil.copytree(PROJECT / "firmware", folder, ignore=shutil.ignore_patterns("build"))
+    shutil.copytree(
+        PROJECT / "firmware", folder, ignore=shutil.ignore_patterns("build")
+    )
     config = folder / "twinmatch_leonardo" / "config.h"
     usual = "kFullDriveSeconds = 480;"
     assert usual in config.read_text()
-    config.write_text(config.read_text().replace(usual, f"kFullDriveSeconds = {SHORT};"))
+    config.write_text(
+        config.read_text().replace(usual, f"kFullDriveSeconds = {SHORT};")
+    )
     subprocess.run(["make", "-s", "-C", str(folder)], check=True)
     return VirtualTools(parts.program, folder / "build" / "twinmatch_leonardo.elf")
 
@@ -117,7 +123,9 @@ class Host:
 
 
 @pytest.fixture(params=KINDS)
-def host(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Host]:
+def host(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Host]:
     """A host at a board with a short budget."""
     monkeypatch.setattr(arduino, "FULL_DRIVE_SECONDS", SHORT)
     if request.param == "simavr":
@@ -150,13 +158,17 @@ def test_the_image_as_it_is_flashed_ends_full_drive_after_eight_minutes() -> Non
         ([(-255, 9.0)], 2.0),
         ([(230, 6.5), (221, 9.0)], 11.5),  # 65 PWM·s, and 5 more
         ([(-240, 9.0)], 3.5),
-        ([(255, 1.9), (220, 5.0)], None),  # 3.5 are left: a single PWM counted too much would spend them
+        # 3.5 are left: a single PWM counted too much would spend them
+        ([(255, 1.9), (220, 5.0)], None),
         ([(-255, 1.9), (-219, 5.0)], None),
         ([(255, 1.0), (0, 0.16)] * 8, None),  # 35 PWM·s more, 35.2 less
-        ([(255, 1.0), (0, 0.1)] * 8, 4.186),  # 35 more, 22 less: 31 are left for the fourth
-        ([(255, 0.5), (210, 0.5)] * 8, 5.214),  # 17.5 more, 5 less: 7.5 are left for the sixth
+        # 35 more, 22 less: 31 are left for the fourth
+        ([(255, 1.0), (0, 0.1)] * 8, 4.186),
+        # 17.5 more, 5 less: 7.5 are left for the sixth
+        ([(255, 0.5), (210, 0.5)] * 8, 5.214),
         ([(255, 0.5), (-255, 0.5)] * 8, 2.038),  # 3 reversals, with 2 ms at zero
-        ([(255, 0.01), (-255, 0.01)] * 200, None),  # so many reversals that it is at rest for long enough
+        # so many reversals that it is at rest for long enough
+        ([(255, 0.01), (-255, 0.01)] * 200, None),
     ],
 )
 def test_the_budget_adds_what_is_above_220_and_takes_off_what_is_below(
@@ -188,8 +200,11 @@ def test_clearing_counts_only_after_a_rest(host: Host) -> None:
         assert refused.code is Code.LATCHED
         host.open_again()
     assert host.status("Q").flags == SPENT
-    host.board.advance(end_of_drive + SHORT / 2 * FULL / HOLD + 0.005 - host.board.drive().time)
-    assert host.status("Q").flags & SPENT == SPENT  # half of the budget is back, but nothing clears itself
+    host.board.advance(
+        end_of_drive + SHORT / 2 * FULL / HOLD + 0.005 - host.board.drive().time
+    )
+    # half of the budget is back, but nothing clears itself
+    assert host.status("Q").flags & SPENT == SPENT
     assert host.status("C").flags == Flags.NONE
     expected = given_back(host, end_of_drive)
     before = len(host.pins)
@@ -198,7 +213,9 @@ def test_clearing_counts_only_after_a_rest(host: Host) -> None:
     assert (len(host.pins) - before) * TICK == pytest.approx(expected, abs=0.05)
 
 
-def test_a_silent_host_trips_the_deadline_and_gets_nothing_back_by_clearing(host: Host) -> None:
+def test_a_silent_host_trips_the_deadline_and_gets_nothing_back_by_clearing(
+    host: Host,
+) -> None:
     assert not host.hold(255, 1.5, repeat=9.0)
     end_of_drive = host.board.drive().time
     assert len(host.pins) * TICK == pytest.approx(1.0, abs=0.01)
@@ -221,7 +238,9 @@ def test_silence_does_not_outlast_the_budget(host: Host) -> None:
     assert host.status("Q").flags == SPENT
 
 
-def test_neither_a_pulled_cable_nor_a_watchdog_reset_gives_anything_back(host: Host) -> None:
+def test_neither_a_pulled_cable_nor_a_watchdog_reset_gives_anything_back(
+    host: Host,
+) -> None:
     assert host.hold(255, 1.9)
     host.board.hang()
     host.board.advance(0.6)

@@ -21,11 +21,19 @@ from tests.support.processes import run_twinmatch
 from tests.support.waiting import wait_for
 from twinmatch.emulation.clock import parse_address
 from twinmatch.emulation.faults import RigControlError
-from twinmatch.links.pwm_link import PwmLatchedError, PwmPortLostError, PwmPortMissingError, PwmResetError
+from twinmatch.links.pwm_link import (
+    PwmLatchedError,
+    PwmPortLostError,
+    PwmPortMissingError,
+    PwmResetError,
+)
 from twinmatch.links.thermal_client import LinkState
 
 Start = Callable[..., Any]
-SIMULATOR = shutil.which("avr-g++") is not None and Path("/usr/include/simavr/sim_avr.h").exists()
+SIMULATOR = (
+    shutil.which("avr-g++") is not None
+    and Path("/usr/include/simavr/sim_avr.h").exists()
+)
 BOARD = "simavr" if SIMULATOR else "python"
 """The board that is to be had here that is nearest to the real one; both keep what it promises."""
 
@@ -88,7 +96,8 @@ def test_a_signal_ends_it_and_nothing_is_left(rig: Start, tmp_path: Path) -> Non
     running = rig()
     children = running.process.children
     assert children
-    for process in (running.process.id, *children):  # it needs no shared memory, so it leaves none
+    for process in (running.process.id, *children):
+        # it needs no shared memory, so it leaves none
         shared = [
             mapping
             for mapping in Path(f"/proc/{process}/maps").read_text().splitlines()
@@ -114,7 +123,10 @@ def test_killed_they_leave_no_orphans_and_the_next_one_tidies_up_and_leaves_othe
     other_rig = rig("--board", "python")
     for running in rigs:
         assert running.process.end(signal.SIGKILL) == -signal.SIGKILL
-    wait_for(lambda: not any(map(lives, itertools.chain(*children))), "the end of the children")
+    wait_for(
+        lambda: not any(map(lives, itertools.chain(*children))),
+        "the end of the children",
+    )
     left_folders = {Path(running.address("control")).parent for running in rigs}
     assert all(folder.exists() for folder in left_folders)
     following = rig("--board", "python")
@@ -127,9 +139,18 @@ def test_killed_they_leave_no_orphans_and_the_next_one_tidies_up_and_leaves_othe
 
 
 def test_it_ends_with_the_reader_of_its_output(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "twinmatch.cli", "virtual-rig", "--board", "python"]
+    command = [
+        sys.executable,
+        "-m",
+        "twinmatch.cli",
+        "virtual-rig",
+        "--board",
+        "python",
+    ]
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as running:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, env=environment
+    ) as running:
         assert running.stdout is not None
         assert "ready\n" in iter(running.stdout.readline, "")
         running.stdout.close()
@@ -137,9 +158,13 @@ def test_it_ends_with_the_reader_of_its_output(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_clock_tells_plant_time_and_never_runs_ahead_and_ends_with_the_duration(rig: Start) -> None:
+def test_the_clock_tells_plant_time_and_never_runs_ahead_and_ends_with_the_duration(
+    rig: Start,
+) -> None:
     running = rig("--speed", "10", "--board", "python", "--duration", "30")
-    with socket.create_connection(parse_address(running.address("clock"))) as connection:
+    with socket.create_connection(
+        parse_address(running.address("clock"))
+    ) as connection:
         lines = connection.makefile("rb")
         first = int(lines.readline())
         start = time.monotonic()
@@ -153,7 +178,9 @@ def test_the_clock_tells_plant_time_and_never_runs_ahead_and_ends_with_the_durat
     assert running.process.wait() == 0
 
 
-def test_a_broken_wire_lets_the_plate_go_while_the_board_continues(rig: Start, controller: Start) -> None:
+def test_a_broken_wire_lets_the_plate_go_while_the_board_continues(
+    rig: Start, controller: Start
+) -> None:
     running = rig("--speed", "20", "--board", "python", "--fault", "drive-lost@40")
     loop = controller(running)
     loop.hold(45.0, 35.0)
@@ -167,7 +194,9 @@ def test_a_broken_wire_lets_the_plate_go_while_the_board_continues(rig: Start, c
     assert ticks[-1].pwm > 200  # the controller does what it can
 
 
-def test_faults_of_the_camera_end_and_the_rig_ends_with_its_camera(rig: Start, controller: Start) -> None:
+def test_faults_of_the_camera_end_and_the_rig_ends_with_its_camera(
+    rig: Start, controller: Start
+) -> None:
     running = rig("--speed", "20", "--board", "python")
     thermal = controller(running).thermal
     wait_for(thermal.news, "an image")
@@ -186,7 +215,9 @@ def test_faults_of_the_camera_end_and_the_rig_ends_with_its_camera(rig: Start, c
     running.tell("end camera-gone")
     wait_for(lambda: thermal.status.restarts == 1, "the new camera")
     running.tell("garbage-camera+40")  # is refused
-    wait_for(lambda: any("Frame" in name for name in thermal.status.errors), "the refusal")
+    wait_for(
+        lambda: any("Frame" in name for name in thermal.status.errors), "the refusal"
+    )
     wait_for(lambda: thermal.status.restarts == 2, "the camera again")
     (camera,) = running.process.children
     os.kill(camera, signal.SIGKILL)
@@ -210,7 +241,9 @@ def test_a_fault_of_the_driver_trips_the_board_and_commands_are_checked(
     with pytest.raises(RigControlError, match="empty command"):
         running.tell("")
     running.tell("stop")
-    assert running.process.finish() == 0, "it ends by itself; a signal might meet it on its way out"
+    assert running.process.finish() == 0, (
+        "it ends by itself; a signal might meet it on its way out"
+    )
 
 
 @pytest.mark.parametrize(
@@ -220,7 +253,10 @@ def test_a_fault_of_the_driver_trips_the_board_and_commands_are_checked(
         (["--speed", "0"], "the speed is 0.0; give 0.01 to 1000"),
         (["--duration", "0"], "the duration is 0.0 s; it must be positive"),
         (["--seed", "-1"], "the seed is -1; give 0 or more"),
-        (["--board", "esp32"], "board 'esp32' does not exist; choose one of auto, simavr, python"),
+        (
+            ["--board", "esp32"],
+            "board 'esp32' does not exist; choose one of auto, simavr, python",
+        ),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(arguments: list[str], message: str) -> None:

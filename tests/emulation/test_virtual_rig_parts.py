@@ -40,7 +40,12 @@ from twinmatch.emulation.faults import (
 from twinmatch.emulation.kit import VirtualKit
 from twinmatch.emulation.plant_time import RigPace, RigSettings, VirtualPlantTime
 from twinmatch.emulation.virtual_camera import VirtualCamera, VirtualCameraError
-from twinmatch.emulation.virtual_rig import RICH_RIG, SerialNoise, VirtualPlant, VirtualRig
+from twinmatch.emulation.virtual_rig import (
+    RICH_RIG,
+    SerialNoise,
+    VirtualPlant,
+    VirtualRig,
+)
 from twinmatch.plants import Peltier
 
 INFINITE = float("inf")
@@ -77,16 +82,23 @@ def test_faults_that_cannot_be_are_refused(text: str, message: str) -> None:
 
 def test_a_fault_of_one_sensor_leaves_the_other_alone() -> None:
     schedule = FaultSchedule(
-        parse_faults("sensor-offset.2@0,sensor-drifts@10,sensor-drifts.2@5,drive-lost.2@0")
+        parse_faults(
+            "sensor-offset.2@0,sensor-drifts@10,sensor-drifts.2@5,drive-lost.2@0"
+        )
     )
     schedule.due(20.0)
-    assert [schedule.told(40.0, 20.0, 20.0, number) for number in (1, 2)] == [40.0 - 8.0, 45.0 - 12.0]
+    assert [schedule.told(40.0, 20.0, 20.0, number) for number in (1, 2)] == [
+        40.0 - 8.0,
+        45.0 - 12.0,
+    ]
     assert [schedule.acts("drive-lost", number) for number in (1, 2)] == [False, True]
 
 
 def test_a_kit_loses_one_heater_and_a_plate_has_only_one() -> None:
     pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
-    with VirtualKit(RigSettings(faults=parse_faults("drive-lost.2@0,sensor-frozen.1@0"))) as kit:
+    with VirtualKit(
+        RigSettings(faults=parse_faults("drive-lost.2@0,sensor-frozen.1@0"))
+    ) as kit:
         kit.board.heaters = [60.0, 60.0]
         for _ in range(12_000):
             kit.step()
@@ -95,32 +107,49 @@ def test_a_kit_loses_one_heater_and_a_plate_has_only_one() -> None:
     assert state["heater"] > 40.0  # °C; what heats the second is the first alone
     assert state["second_heater"] < 30.0
     assert first < 22.0 < second
-    with pytest.raises(FaultError, match=r"'drive-lost\.2': not available for this plant"):
+    with pytest.raises(
+        FaultError, match=r"'drive-lost\.2': not available for this plant"
+    ):
         VirtualRig(RigSettings(faults=parse_faults("drive-lost.2@3")))
 
 
 @given(
     st.lists(
-        st.tuples(st.sampled_from(sorted(KINDS)), st.integers(0, 50), st.integers(1, 20) | st.just(INFINITE)),
+        st.tuples(
+            st.sampled_from(sorted(KINDS)),
+            st.integers(0, 50),
+            st.integers(1, 20) | st.just(INFINITE),
+        ),
         max_size=12,
     )
 )
-def test_a_fault_is_on_exactly_while_one_of_its_kind_lasts(spans: list[tuple[str, int, float]]) -> None:
-    schedule = FaultSchedule(RigFault(kind, float(start), float(length)) for kind, start, length in spans)
+def test_a_fault_is_on_exactly_while_one_of_its_kind_lasts(
+    spans: list[tuple[str, int, float]],
+) -> None:
+    schedule = FaultSchedule(
+        RigFault(kind, float(start), float(length)) for kind, start, length in spans
+    )
     on: set[str] = set()
     for second in range(80):
         for change in schedule.due(float(second)):
-            assert (change.kind in on) is not change.begins  # no change without a difference
+            # no change without a difference
+            assert (change.kind in on) is not change.begins
             (on.add if change.begins else on.remove)(change.kind)
-        assert on == {kind for kind, start, length in spans if start <= second < start + length}
+        assert on == {
+            kind for kind, start, length in spans if start <= second < start + length
+        }
         assert on == set(schedule.active)
 
 
 def test_ending_a_fault_ends_all_of_its_kind() -> None:
-    schedule = FaultSchedule(parse_faults("fan-failed@0,fan-failed@1,fan-failed@9,drive-lost@0"))
+    schedule = FaultSchedule(
+        parse_faults("fan-failed@0,fan-failed@1,fan-failed@9,drive-lost@0")
+    )
     schedule.due(2.0)
     schedule.end("fan-failed", 3.0)
-    assert [(change.kind, change.begins) for change in schedule.due(20.0)] == [("fan-failed", False)]
+    assert [(change.kind, change.begins) for change in schedule.due(20.0)] == [
+        ("fan-failed", False)
+    ]
     assert schedule.active == ("drive-lost",)
     with pytest.raises(FaultError, match="did you mean"):
         schedule.end("fan-fail", 4.0)
@@ -131,7 +160,10 @@ def test_the_plant_is_that_of_the_plant_room() -> None:
     for _ in range(500):
         plant.advance(PinDrive(0.0, 100.0, enabled=True), 0.02)
     exact = simulate_driven(
-        RICH_RIG, [100.0, 0.0], states=begin(RICH_RIG, RICH_RIG["ambient"] - KELVIN), period=10.0
+        RICH_RIG,
+        [100.0, 0.0],
+        states=begin(RICH_RIG, RICH_RIG["ambient"] - KELVIN),
+        period=10.0,
     ).output[1]
     assert plant.plate == pytest.approx(exact, abs=1e-5)
 
@@ -164,15 +196,20 @@ def test_an_open_circuit_carries_no_current(broken: bool) -> None:
 def test_feedback_shows_the_supply_side() -> None:
     plant = VirtualPlant()
     assert plant.feedback(PinDrive(0.0, 255.0, enabled=True)) == pytest.approx(12 / 3.4)
-    assert plant.feedback(PinDrive(0.0, -127.5, enabled=True)) == pytest.approx(12 / 3.4 / 4)
+    assert plant.feedback(PinDrive(0.0, -127.5, enabled=True)) == pytest.approx(
+        12 / 3.4 / 4
+    )
     plant.states = HOT.copy()
-    assert plant.feedback(PinDrive(0.0, 0.0, enabled=True)) == 0  # braking does not pass the supply
+    # braking does not pass the supply
+    assert plant.feedback(PinDrive(0.0, 0.0, enabled=True)) == 0
 
 
 def test_faults_of_the_surroundings_change_the_rig() -> None:
     plant = VirtualPlant()
     plant.fan_failed = plant.warm_room = True
-    assert plant.parameters["sink_convection"] == pytest.approx(0.1 * RICH_RIG["sink_convection"])
+    assert plant.parameters["sink_convection"] == pytest.approx(
+        0.1 * RICH_RIG["sink_convection"]
+    )
     assert plant.parameters["ambient"] == RICH_RIG["ambient"] + 10
     plant.fan_failed = plant.warm_room = False
     assert plant.parameters == RICH_RIG
@@ -181,7 +218,9 @@ def test_faults_of_the_surroundings_change_the_rig() -> None:
 class Wall:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 100.0
-        monkeypatch.setattr("twinmatch.emulation.plant_time.time.monotonic", lambda: self.now)
+        monkeypatch.setattr(
+            "twinmatch.emulation.plant_time.time.monotonic", lambda: self.now
+        )
 
 
 def test_plant_time_keeps_pace(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -195,7 +234,9 @@ def test_plant_time_keeps_pace(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(("speed", "made_up"), [(10.0, 0.2), (1.0, 5.0)])
-def test_time_lost_to_a_busy_machine(monkeypatch: pytest.MonkeyPatch, speed: float, made_up: float) -> None:
+def test_time_lost_to_a_busy_machine(
+    monkeypatch: pytest.MonkeyPatch, speed: float, made_up: float
+) -> None:
     """It is made up for at the wall clock's own pace, and up to a fifth of a second when sped up."""
     wall = Wall(monkeypatch)
     pace = RigPace(speed)
@@ -307,7 +348,8 @@ class Reader:
 
 def test_the_slowest_reader_that_keeps_step_limits_the_plant() -> None:
     server = ClockServer()
-    rig, twin, page = (Reader(server) for _ in range(3))  # a page reads the time and says nothing
+    # a page reads the time and says nothing
+    rig, twin, page = (Reader(server) for _ in range(3))
     assert server.limit(0) == INFINITE
     assert not server.driven
     rig.say(server, "drive 100")
@@ -380,7 +422,10 @@ def test_a_plant_in_step_goes_exactly_as_far_as_it_is_let_and_waits_there() -> N
     with Bare(RigSettings(speed=INFINITE, in_step=True, duration=100.0)) as plant:
         client = ClockClient(parse_address(plant.addresses["clock"]), heard.append)
         client.start()
-        stops = [plant.stamp + round(1e9 * second) for second in (30.0, 30.1234, 77.0, 1000.0)]
+        stops = [
+            plant.stamp + round(1e9 * second)
+            for second in (30.0, 30.1234, 77.0, 1000.0)
+        ]
         waited: list[int] = []
 
         def watch() -> None:
@@ -395,7 +440,11 @@ def test_a_plant_in_step_goes_exactly_as_far_as_it_is_let_and_waits_there() -> N
         plant.run(watch)
         assert plant.elapsed == 100.0
         assert client.close()
-    assert {before + 30_000_000_000, before + 30_124_000_000, before + 77_000_000_000} <= set(waited)
+    assert {
+        before + 30_000_000_000,
+        before + 30_124_000_000,
+        before + 77_000_000_000,
+    } <= set(waited)
     assert heard == sorted(heard)
 
 
@@ -466,7 +515,9 @@ def test_without_a_host_two_runs_agree_to_the_last_bit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    faults = parse_faults("ambient-step@1,fan-failed@1,sensor-frozen@1+1,cable-pulled@2,camera-gone@3")
+    faults = parse_faults(
+        "ambient-step@1,fan-failed@1,sensor-frozen@1+1,cable-pulled@2,camera-gone@3"
+    )
     settings = RigSettings(speed=20, board="python", seed=3, faults=faults)
     runs = []
     for _ in range(2):
@@ -475,16 +526,25 @@ def test_without_a_host_two_runs_agree_to_the_last_bit(
             states = []
             while rig.elapsed < 4.0:
                 rig.step()
-                states.append((rig.plant.states.tolist(), rig.drive, rig.state()["faults"]))
+                states.append(
+                    (rig.plant.states.tolist(), rig.drive, rig.state()["faults"])
+                )
             assert not Path(rig.addresses["serial"]).exists()
         runs.append(states)
     assert runs[0] == runs[1]
     assert runs[0][-1][0][1] > RICH_RIG["ambient"]
-    assert runs[0][-1][2] == ["ambient-step", "fan-failed", "cable-pulled", "camera-gone"]
+    assert runs[0][-1][2] == [
+        "ambient-step",
+        "fan-failed",
+        "cable-pulled",
+        "camera-gone",
+    ]
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_a_simulator_the_stand_in_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_a_simulator_the_stand_in_says_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     with pytest.raises(ArduinoError, match="cannot be built in"):
@@ -519,12 +579,19 @@ def test_noise_on_the_line_writes_and_takes(tmp_path: Path) -> None:
     assert b":E - CRC*2A8A\n" not in heard  # of each of which it took a part
 
 
-def test_a_camera_program_that_cannot_listen_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(VirtualCameraError, match=r"has ended unexpectedly: .*emulated Lepton"):
+def test_a_camera_program_that_cannot_listen_says_why(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with pytest.raises(
+        VirtualCameraError, match=r"has ended unexpectedly: .*emulated Lepton"
+    ):
         VirtualCamera(ambient=float("nan"))
     monkeypatch.setattr(shipped, "__file__", "/nowhere/src/twinmatch/shipped.py")
     monkeypatch.setattr("sys.prefix", "/nowhere")
-    with pytest.raises(VirtualCameraError, match=r"camera_server/src is in none of .*; reinstall twinmatch"):
+    with pytest.raises(
+        VirtualCameraError,
+        match=r"camera_server/src is in none of .*; reinstall twinmatch",
+    ):
         VirtualCamera(ambient=22.0)
 
 
@@ -543,7 +610,9 @@ def test_a_camera_program_that_says_nothing(monkeypatch: pytest.MonkeyPatch) -> 
 def test_any_structure_of_the_rig_can_be_the_truth() -> None:
     richest = list(Peltier.structures)[-1]
     plant = VirtualPlant(
-        Peltier.model(richest).parameters(drive_ripple=1.0, sensor_lag=2.0, seebeck_slope=1e-4)
+        Peltier.model(richest).parameters(
+            drive_ripple=1.0, sensor_lag=2.0, seebeck_slope=1e-4
+        )
     )
     for _ in range(100):
         plant.advance(PinDrive(0.0, 200.0, enabled=True), 0.02)

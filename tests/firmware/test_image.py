@@ -20,7 +20,10 @@ MEMORY = 2_560
 
 @pytest.fixture(scope="module")
 def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    if shutil.which("avr-g++") is None or not Path("/usr/share/arduino/hardware/arduino/avr").exists():
+    if (
+        shutil.which("avr-g++") is None
+        or not Path("/usr/share/arduino/hardware/arduino/avr").exists()
+    ):
         pytest.skip("no AVR toolchain; install gcc-avr, avr-libc and arduino-core-avr")
     build = tmp_path_factory.mktemp("firmware")
     command = ["make", "-s", "-C", str(PROJECT / "firmware"), f"BUILD={build}"]
@@ -31,7 +34,9 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_it_fits_with_room_for_the_stack(image: Path) -> None:
-    sizes = subprocess.run(["avr-size", "-B", image], capture_output=True, text=True, check=True).stdout
+    sizes = subprocess.run(
+        ["avr-size", "-B", image], capture_output=True, text=True, check=True
+    ).stdout
     text, data, bss = map(int, sizes.splitlines()[1].split()[:3])
     assert text + data < 0.5 * FLASH
     assert data + bss < 0.5 * MEMORY
@@ -70,23 +75,33 @@ def test_host_and_firmware_agree_on_what_both_spell_out() -> None:
         ("kFullDriveSeconds = 480", "kFullDriveSeconds = 3600"),
     ],
 )
-def test_unsafe_settings_do_not_compile(tmp_path: Path, line: str, instead: str) -> None:
+def test_unsafe_settings_do_not_compile(
+    tmp_path: Path, line: str, instead: str
+) -> None:
     compiler = shutil.which("g++") or shutil.which("clang++")
     if compiler is None:
         pytest.skip("no C++ compiler on this machine")
     text = (PROJECT / "firmware" / "twinmatch_leonardo" / "config.h").read_text()
     assert line in text
-    for name, content, compiles in (("good", text, True), ("bad", text.replace(line, instead), False)):
+    for name, content, compiles in (
+        ("good", text, True),
+        ("bad", text.replace(line, instead), False),
+    ):
         header = tmp_path / f"{name}.h"
         header.write_text(content)
         command = [compiler, "-std=c++11", "-fsyntax-only", "-x", "c++", str(header)]
-        assert (subprocess.run(command, capture_output=True, check=False).returncode == 0) is compiles
+        assert (
+            subprocess.run(command, capture_output=True, check=False).returncode == 0
+        ) is compiles
 
 
 def test_the_line_to_try_by_hand_is_a_sound_one() -> None:
     from twinmatch.links.pwm_protocol import seal
 
-    assert f"`{seal('H 0').decode().strip()}`" in (PROJECT / "docs" / "rig" / "firmware.md").read_text()
+    assert (
+        f"`{seal('H 0').decode().strip()}`"
+        in (PROJECT / "docs" / "rig" / "firmware.md").read_text()
+    )
 
 
 # The firmware's codec and ours, compiled and run on the same bytes.
@@ -102,24 +117,43 @@ def probe(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip("no C++ compiler on this machine")
     program = tmp_path_factory.mktemp("codec") / "probe"
     sources = [HERE / "codec_probe.cpp", SKETCH / "frame.cpp", SKETCH / "request.cpp"]
-    flags = ["-std=c++11", "-O1", "-Wall", "-Wextra", "-Werror", "-fsanitize=address,undefined"]
-    subprocess.run([compiler, *flags, f"-I{SKETCH}", *map(str, sources), "-o", str(program)], check=True)
+    flags = [
+        "-std=c++11",
+        "-O1",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-fsanitize=address,undefined",
+    ]
+    subprocess.run(
+        [compiler, *flags, f"-I{SKETCH}", *map(str, sources), "-o", str(program)],
+        check=True,
+    )
     return program
 
 
 def what_we_make_of(stream: bytes) -> list[str]:
     events = FrameReader().feed(stream)
-    return [f"E - {e.value}" if isinstance(e, Damage) else str(parse_request(e)) for e in events]
+    return [
+        f"E - {e.value}" if isinstance(e, Damage) else str(parse_request(e))
+        for e in events
+    ]
 
 
 def test_both_make_the_same_of_damaged_frames(probe: Path) -> None:
-    stream = b"".join(line + b"\n" + seal("Q 9") for _, line in damaged_lines(FUZZ, seed=7))
+    stream = b"".join(
+        line + b"\n" + seal("Q 9") for _, line in damaged_lines(FUZZ, seed=7)
+    )
     # Sealed nonsense reaches the parser behind a right check sum.
     nonsense = "P 1 -0|P 1 256|P 1 99999|P 1 100000|Q 65536|Q 01|X 1|  1|P 1 5 |H"
     stream += b"".join(map(seal, nonsense.split("|")))
-    completed = subprocess.run([str(probe)], input=stream, capture_output=True, check=True)
+    completed = subprocess.run(
+        [str(probe)], input=stream, capture_output=True, check=True
+    )
     answers = completed.stdout.decode().split("\n")
     ours = what_we_make_of(stream)
     assert answers[: len(ours)] == ours
-    assert answers[len(ours)] == seal("S 65535 4294967295 -255 1023 255").decode().strip()
+    assert (
+        answers[len(ours)] == seal("S 65535 4294967295 -255 1023 255").decode().strip()
+    )
     assert answers[len(ours) + 1] == "29B1"

@@ -25,8 +25,14 @@ def record() -> Recorder:
         samples: int = 100,
     ) -> Window:
         reference = np.concatenate([np.full(60, levels[0]), np.repeat(levels, samples)])
-        sensor = None if seed is None else Sensor(noise=noise).realise(reference.size, 1.0, seed)
-        response = simulate_closed_loop(rig, reference, states=begin(rig, levels[0]), sensor=sensor)
+        sensor = (
+            None
+            if seed is None
+            else Sensor(noise=noise).realise(reference.size, 1.0, seed)
+        )
+        response = simulate_closed_loop(
+            rig, reference, states=begin(rig, levels[0]), sensor=sensor
+        )
         whole = Window(reference, response.output, response.input, first=1000)
         return whole.part(1060, whole.last)
 

@@ -15,9 +15,22 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from twinmatch.compiled import compiled
-from twinmatch.fitting import ORDERS, BoxJenkins, FittingError, estimate, estimate_ladder, parse_order
+from twinmatch.fitting import (
+    ORDERS,
+    BoxJenkins,
+    FittingError,
+    estimate,
+    estimate_ladder,
+    parse_order,
+)
 from twinmatch.fitting.data import Order
-from twinmatch.fitting.delayed import SLACK, cholesky, correlate, ridge_solve, triangularise
+from twinmatch.fitting.delayed import (
+    SLACK,
+    cholesky,
+    correlate,
+    ridge_solve,
+    triangularise,
+)
 from twinmatch.fitting.polynomials import (
     LARGEST_ROOT,
     all_pole_into,
@@ -40,7 +53,9 @@ from twinmatch.fitting.starts import Hops
 from twinmatch.signals import FloatArray, Window
 
 
-@pytest.mark.parametrize("written", ["22221", "2 2 2 2 1", "2,2,2,2,1", (2, 2, 2, 2, 1), [2, 2, 2, 2, 1]])
+@pytest.mark.parametrize(
+    "written", ["22221", "2 2 2 2 1", "2,2,2,2,1", (2, 2, 2, 2, 1), [2, 2, 2, 2, 1]]
+)
 def test_an_order_may_be_written_in_five_ways(written: str | tuple[int, ...]) -> None:
     assert parse_order(written) == Order(nb=2, nc=2, nd=2, nf=2, nk=1)
 
@@ -65,7 +80,10 @@ def test_covering_respects_the_span_of_b() -> None:
 @pytest.mark.parametrize(
     ("order", "message"),
     [
-        *((order, "five whole numbers") for order in ("2222", "222211", "two", (2,) * 4, (1.5, 2, 2, 2, 1))),
+        *(
+            (order, "five whole numbers")
+            for order in ("2222", "222211", "two", (2,) * 4, (1.5, 2, 2, 2, 1))
+        ),
         ("02221", "nb must be at least 1"),
         ((2, -1, 2, 2, 1), "outside 0 to 50"),
         ((2, 2, 2, 2, 51), "outside 0 to 50"),
@@ -93,7 +111,9 @@ def u() -> np.ndarray:
     return np.random.default_rng(5).standard_normal(150)
 
 
-def test_transfer_function_is_that_of_the_model(model: BoxJenkins, u: np.ndarray) -> None:
+def test_transfer_function_is_that_of_the_model(
+    model: BoxJenkins, u: np.ndarray
+) -> None:
     size = max(model.B.size, model.F.size)
     parts = [np.pad(part, (0, size - part.size)) for part in (model.B, model.F)]
     system = control.TransferFunction(*parts, model.period)
@@ -105,16 +125,28 @@ def test_transfer_function_is_that_of_the_model(model: BoxJenkins, u: np.ndarray
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        (lambda m, u: m.simulate(u[:2], outputs=[1.0, 2.0, 3.0]), "3 recorded outputs for 2"),
-        (lambda m, _: m.simulate(np.where(np.arange(20) == 7, np.nan, 0.0)), "nan at sample 7"),
+        (
+            lambda m, u: m.simulate(u[:2], outputs=[1.0, 2.0, 3.0]),
+            "3 recorded outputs for 2",
+        ),
+        (
+            lambda m, _: m.simulate(np.where(np.arange(20) == 7, np.nan, 0.0)),
+            "nan at sample 7",
+        ),
         (lambda m, _: m.simulate(np.zeros((2, 2))), "give one value per sample"),
         (lambda m, u: m.prediction_errors(u[1:], u), "149 samples and output y 150"),
         (lambda m, u: m.prediction_errors(u, u, "backwards"), "'backwards' is unknown"),
-        (lambda _, __: estimate(*two_tones(1), "22221", hops=-1), "-1 starts requested; give 0 or more"),
+        (
+            lambda _, __: estimate(*two_tones(1), "22221", hops=-1),
+            "-1 starts requested; give 0 or more",
+        ),
     ],
 )
 def test_what_no_model_can_do_is_refused(
-    model: BoxJenkins, u: np.ndarray, asked: Callable[[BoxJenkins, np.ndarray], object], message: str
+    model: BoxJenkins,
+    u: np.ndarray,
+    asked: Callable[[BoxJenkins, np.ndarray], object],
+    message: str,
 ) -> None:
     with pytest.raises(FittingError, match=message):
         asked(model, u)
@@ -125,13 +157,21 @@ def test_control_is_not_imported_before_it_is_needed() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_simulation_continues_from_recorded_outputs(model: BoxJenkins, u: np.ndarray) -> None:
+def test_simulation_continues_from_recorded_outputs(
+    model: BoxJenkins, u: np.ndarray
+) -> None:
     whole = lfilter(B, F, u, zi=[0.3, -0.2])[0]
-    np.testing.assert_allclose(model.simulate(u, outputs=whole[:3]), whole, rtol=1e-9, atol=1e-10)
-    np.testing.assert_array_equal(model.simulate(u, outputs=[5.0, 6.0, 7.0])[:3], [5.0, 6.0, 7.0])
+    np.testing.assert_allclose(
+        model.simulate(u, outputs=whole[:3]), whole, rtol=1e-9, atol=1e-10
+    )
+    np.testing.assert_array_equal(
+        model.simulate(u, outputs=[5.0, 6.0, 7.0])[:3], [5.0, 6.0, 7.0]
+    )
 
 
-def test_prediction_errors_are_the_innovations(model: BoxJenkins, u: np.ndarray) -> None:
+def test_prediction_errors_are_the_innovations(
+    model: BoxJenkins, u: np.ndarray
+) -> None:
     e = 0.1 * np.random.default_rng(6).standard_normal(u.size)
     y = lfilter(B, F, u) + lfilter(C, D, e)
     np.testing.assert_allclose(model.prediction_errors(u, y, "zero"), e, atol=1e-10)
@@ -139,7 +179,10 @@ def test_prediction_errors_are_the_innovations(model: BoxJenkins, u: np.ndarray)
 
 
 def test_estimated_start_finds_any_transient(model: BoxJenkins, u: np.ndarray) -> None:
-    y = lfilter(B, F, u, zi=[20.0, -15.0])[0] + lfilter(C, D, np.zeros(u.size), zi=[3.0, 1.0])[0]
+    y = (
+        lfilter(B, F, u, zi=[20.0, -15.0])[0]
+        + lfilter(C, D, np.zeros(u.size), zi=[3.0, 1.0])[0]
+    )
     np.testing.assert_allclose(model.prediction_errors(u, y), 0.0, atol=1e-7)
     assert model.loss(u, y, "zero") > 1.0
 
@@ -149,7 +192,9 @@ def test_own_initial_state_gives_the_loss_of_the_estimate() -> None:
     u = rng.standard_normal(300)
     y = lfilter(B, F, u) + lfilter(C, D, 0.1 * rng.standard_normal(300))
     model = estimate(u[50:], y[50:], "22221")
-    assert model.loss(u[50:], y[50:], model.initial_state) == pytest.approx(model.variance, rel=1e-9)
+    assert model.loss(u[50:], y[50:], model.initial_state) == pytest.approx(
+        model.variance, rel=1e-9
+    )
     assert model.loss(u[50:], y[50:]) == pytest.approx(model.variance, rel=1e-9)
 
 
@@ -162,14 +207,18 @@ DEGREES = st.integers(0, 5)
 
 
 @given(DEGREES, DEGREES, DEGREES, st.integers(0, 2**31))
-def test_hops_keep_the_degrees_and_stay_stable(nc: int, nd: int, nf: int, seed: int) -> None:
+def test_hops_keep_the_degrees_and_stay_stable(
+    nc: int, nd: int, nf: int, seed: int
+) -> None:
     order = Order(1, nc, nd, nf, 1)
     hops = Hops(order)
     assert hops.possible == (nc + nd + nf > 0)
     if not hops.possible:
         return
     rng = np.random.default_rng(seed)
-    theta = np.concatenate([np.atleast_1d(np.poly(rng.uniform(-0.9, 0.9, n)))[1:] for n in (nc, nd, nf)])
+    theta = np.concatenate(
+        [np.atleast_1d(np.poly(rng.uniform(-0.9, 0.9, n)))[1:] for n in (nc, nd, nf)]
+    )
     for _ in range(5):
         moved = hops.from_model(theta)
         assert moved.shape == theta.shape
@@ -180,10 +229,14 @@ def test_hops_keep_the_degrees_and_stay_stable(nc: int, nd: int, nf: int, seed: 
 
 
 def test_one_hop_touches_one_polynomial_or_the_noise() -> None:
-    theta = np.concatenate([np.poly(r)[1:] for r in ([0.5, 0.2], [0.9, 0.3], [0.8, 0.4])])
+    theta = np.concatenate(
+        [np.poly(r)[1:] for r in ([0.5, 0.2], [0.9, 0.3], [0.8, 0.4])]
+    )
     hops = Hops(parse_order("22221"))
     for _ in range(50):
-        moved = np.any(np.abs(hops.from_model(theta) - theta).reshape(3, 2) > 1e-12, axis=1)
+        moved = np.any(
+            np.abs(hops.from_model(theta) - theta).reshape(3, 2) > 1e-12, axis=1
+        )
         assert list(moved) in (
             [True, False, False],
             [False, True, False],
@@ -204,15 +257,25 @@ def two_tones(seed: int) -> tuple[FloatArray, FloatArray]:
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.standard_normal(75), 4)
     narrow = np.real(
-        np.poly([*(0.98 * np.exp(s * 0.5j) for s in (1, -1)), *(0.96 * np.exp(s * 1.9j) for s in (1, -1))])
+        np.poly(
+            [
+                *(0.98 * np.exp(s * 0.5j) for s in (1, -1)),
+                *(0.96 * np.exp(s * 1.9j) for s in (1, -1)),
+            ]
+        )
     )
-    return u, lfilter([0.0, 0.5], [1.0, -0.8], u) + lfilter([1.0], narrow, 0.1 * rng.standard_normal(300))
+    return u, lfilter([0.0, 0.5], [1.0, -0.8], u) + lfilter(
+        [1.0], narrow, 0.1 * rng.standard_normal(300)
+    )
 
 
 def test_more_hops_are_never_worse_and_find_lower_minima() -> None:
     gained = 0
     for seed in range(6):
-        losses = [estimate(*two_tones(seed), "33331", hops=hops).variance for hops in (0, 4, 16)]
+        losses = [
+            estimate(*two_tones(seed), "33331", hops=hops).variance
+            for hops in (0, 4, 16)
+        ]
         # Draws begin alike, so the longer search passes through the shorter one's minima.
         assert all(b <= a * (1.0 + 1e-5) for a, b in pairwise(losses))
         gained += losses[2] < 0.99 * losses[0]
@@ -238,11 +301,15 @@ def test_filters_give_what_scipys_give() -> None:
     a = np.array([1.0, -1.1, 0.3, 0.1])
     b = rng.standard_normal(4)
     np.testing.assert_allclose(fir(b, x), lfilter(b, [1.0], x), rtol=1e-12, atol=1e-13)
-    np.testing.assert_allclose(all_pole(a, x), lfilter([1.0], a, x), rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(
+        all_pole(a, x), lfilter([1.0], a, x), rtol=1e-12, atol=1e-13
+    )
 
 
 @given(st.integers(0, 2**31), st.integers(0, 5), st.integers(1, 4), st.integers(0, 3))
-def test_normal_matrix_and_triangle_agree_with_the_matrix(seed: int, d: int, n: int, first: int) -> None:
+def test_normal_matrix_and_triangle_agree_with_the_matrix(
+    seed: int, d: int, n: int, first: int
+) -> None:
     rng = np.random.default_rng(seed)
     pad = 9 + SLACK
     count = 117
@@ -273,7 +340,9 @@ def test_ridge_solution_is_that_of_the_stacked_system() -> None:
     R = np.triu(rng.standard_normal((5, 5)))
     rhs = rng.standard_normal(5)
     damping = rng.uniform(0, 1, 5)
-    stacked = np.linalg.lstsq(np.vstack((R, np.diag(damping))), np.append(rhs, np.zeros(5)), rcond=None)[0]
+    stacked = np.linalg.lstsq(
+        np.vstack((R, np.diag(damping))), np.append(rhs, np.zeros(5)), rcond=None
+    )[0]
     np.testing.assert_allclose(ridge_solve(R, rhs, damping), stacked, rtol=1e-10)
 
 
@@ -285,7 +354,9 @@ def test_stability_is_that_of_the_roots(roots: list[float], size: float) -> None
 
 
 @given(ROOTS, st.floats(1.01, 50.0), st.floats(0.1, 3.0))
-def test_unstable_roots_come_inside(roots: list[float], size: float, angle: float) -> None:
+def test_unstable_roots_come_inside(
+    roots: list[float], size: float, angle: float
+) -> None:
     pair = size * np.exp(1j * angle)
     polynomial = np.real(np.poly([*roots, pair, np.conj(pair)]))
     reflected = stabilise(polynomial, LARGEST_ROOT, 1.0)
@@ -301,7 +372,9 @@ def test_unstable_roots_come_inside(roots: list[float], size: float, angle: floa
 
 
 def test_what_is_not_finite_becomes_one() -> None:
-    np.testing.assert_array_equal(stabilise(np.array([1.0, np.nan, 2.0]), LARGEST_ROOT, 1.0), [1.0, 0.0, 0.0])
+    np.testing.assert_array_equal(
+        stabilise(np.array([1.0, np.nan, 2.0]), LARGEST_ROOT, 1.0), [1.0, 0.0, 0.0]
+    )
 
 
 def test_normals_are_the_gradient_of_the_root() -> None:
@@ -319,11 +392,20 @@ def test_normals_are_the_gradient_of_the_root() -> None:
 @st.composite
 def tasks(draw: st.DrawFn) -> tuple[Task, FloatArray]:
     count = st.integers(0, 3)
-    order = Order(draw(st.integers(1, 3)), draw(count), draw(count), draw(count), draw(st.integers(0, 3)))
+    order = Order(
+        draw(st.integers(1, 3)),
+        draw(count),
+        draw(count),
+        draw(count),
+        draw(st.integers(0, 3)),
+    )
     rng = np.random.default_rng(draw(st.integers(0, 2**31)))
     u, y = np.cumsum(rng.standard_normal((2, 80)), axis=1)
     task = task_of(u, y, order, "estimate" if draw(st.booleans()) else "zero")
-    parts = [np.atleast_1d(np.poly(rng.uniform(-0.8, 0.8, n)))[1:] for n in (order.nc, order.nd, order.nf)]
+    parts = [
+        np.atleast_1d(np.poly(rng.uniform(-0.8, 0.8, n)))[1:]
+        for n in (order.nc, order.nd, order.nf)
+    ]
     return task, np.concatenate(parts)
 
 
@@ -348,10 +430,14 @@ def test_derivatives_are_those_of_differences(case: tuple[Task, FloatArray]) -> 
     # Differences of order h² ≈ 1e-10 and rounding ≈ 1e-16/h, both against the size of the cost.
     for i in range(theta.size):
         step = h * np.eye(theta.size)[i]
-        slope = (place_at(task, theta + step).cost - place_at(task, theta - step).cost) / (4.0 * h)
+        slope = (
+            place_at(task, theta + step).cost - place_at(task, theta - step).cost
+        ) / (4.0 * h)
         size = np.max(np.abs(gradient)) + 1e-3 * place.cost
         assert gradient[i] == pytest.approx(slope, abs=1e-4 * size)
-        column = (gradient_at(task, theta + step) - gradient_at(task, theta - step)) / (2.0 * h)
+        column = (gradient_at(task, theta + step) - gradient_at(task, theta - step)) / (
+            2.0 * h
+        )
         size = np.max(np.abs(hessian)) + 1e-3 * place.cost
         np.testing.assert_allclose(hessian[:, i], column, atol=1e-3 * size)
 
@@ -381,7 +467,8 @@ def test_loss_never_grows_up_the_ladder(
     assert all(b <= a * (1.0 + 1e-9) for a, b in pairwise(losses))
     for model in models:
         assert max(np.max(np.abs(np.roots(p))) for p in (model.D, model.F)) < 1.0
-        assert np.max(np.abs(np.roots(model.C))) < 1.0 - 5.9 / len(window)  # forgets within the window
+        # forgets within the window
+        assert np.max(np.abs(np.roots(model.C))) < 1.0 - 5.9 / len(window)
         assert np.all(np.isfinite(model.standard_errors))
         assert np.max(np.abs(model.simulate(window.reference))) < 1e4
 
@@ -392,7 +479,9 @@ def test_the_estimated_start_brings_the_loss_near_the_noise(
 ) -> None:
     window = recorded_hour(1).part(0, last)
     loss = {
-        initial: estimate(window.reference, window.output, "22221", initial=initial).variance
+        initial: estimate(
+            window.reference, window.output, "22221", initial=initial
+        ).variance
         for initial in ("estimate", "zero")
     }
     assert loss["estimate"] < bound

@@ -18,7 +18,13 @@ from scipy.signal import lfilter
 
 from twinmatch.dynamics import Parameters
 from twinmatch.fitting import FittingError, Match, estimate, estimate_ladder, match
-from twinmatch.fitting.estimation import Estimate, on_bounds, solve, starts_for, uncertainty
+from twinmatch.fitting.estimation import (
+    Estimate,
+    on_bounds,
+    solve,
+    starts_for,
+    uncertainty,
+)
 from twinmatch.fitting.prediction import MEMORY
 from twinmatch.fitting.problem import Noise, Problem
 from twinmatch.plants import Peltier
@@ -29,11 +35,15 @@ Recorder = Callable[..., Window]
 RIG = Peltier.model()
 TRUTH = RIG.parameters(seebeck=0.075, conductance=0.6, heat_capacity=30.0)
 SINK = Peltier.model("sink with mass")
-WITH_SINK = SINK.parameters(**{**dict(TRUTH), "sink_heat_capacity": 250.0, "sink_convection": 2.0})
+WITH_SINK = SINK.parameters(
+    **{**dict(TRUTH), "sink_heat_capacity": 250.0, "sink_convection": 2.0}
+)
 FREE = ("seebeck", "conductance", "heat_capacity")
 
 
-def problem(window: Window, free: tuple[str, ...] = FREE, base: Parameters = TRUTH) -> Problem:
+def problem(
+    window: Window, free: tuple[str, ...] = FREE, base: Parameters = TRUTH
+) -> Problem:
     return Problem(window, free, base, Noise.of(Peltier), Peltier.loop)
 
 
@@ -53,8 +63,13 @@ def relative(result: Match, truth: Parameters) -> list[float]:
         ((*FREE, "sink_heat_capacity", "sink_convection"), WITH_SINK),
     ],
 )
-def test_without_noise_the_truth_is_found(record: Recorder, free: tuple[str, ...], truth: Parameters) -> None:
-    changes = {name: truth[name] + 1.0 if name == "ambient" else 1.15 * truth[name] for name in free}
+def test_without_noise_the_truth_is_found(
+    record: Recorder, free: tuple[str, ...], truth: Parameters
+) -> None:
+    changes = {
+        name: truth[name] + 1.0 if name == "ambient" else 1.15 * truth[name]
+        for name in free
+    }
     result = match(record(truth), free=free, start=truth.replace(**changes))
     assert relative(result, truth) == pytest.approx([0.0] * len(free), abs=1e-6)
     assert result.fit == pytest.approx((1.0, 1.0), abs=1e-6)
@@ -68,14 +83,22 @@ def test_without_noise_the_truth_is_found(record: Recorder, free: tuple[str, ...
     step=st.floats(8.0, 35.0),
 )
 def test_any_rig_is_found_from_the_default_start(
-    record: Recorder, seebeck: float, conductance: float, heat_capacity: float, step: float
+    record: Recorder,
+    seebeck: float,
+    conductance: float,
+    heat_capacity: float,
+    step: float,
 ) -> None:
-    truth = RIG.parameters(seebeck=seebeck, conductance=conductance, heat_capacity=heat_capacity)
+    truth = RIG.parameters(
+        seebeck=seebeck, conductance=conductance, heat_capacity=heat_capacity
+    )
     window = record(truth, levels=(30.0, 30.0 + step, 35.0))
     posed = problem(window)
     estimate = solve(posed, starts_for(posed, RIG.parameters()))
     assert estimate.converged
-    assert estimate.values == pytest.approx([seebeck, conductance, heat_capacity], rel=1e-5)
+    assert estimate.values == pytest.approx(
+        [seebeck, conductance, heat_capacity], rel=1e-5
+    )
 
 
 def test_an_independent_program_finds_the_same(record: Recorder) -> None:
@@ -103,7 +126,9 @@ def test_an_independent_program_finds_the_same(record: Recorder) -> None:
             temperatures.append(plate - 273.15)
             commands.append(command)
 
-            def rate(_t: float, t: np.ndarray, volts: float = 12 * command / 255) -> np.ndarray:
+            def rate(
+                _t: float, t: np.ndarray, volts: float = 12 * command / 255
+            ) -> np.ndarray:
                 current = np.clip((-volts - a * (296.0 - t)) / 3.4, -5, 5)
                 return -(a * t * current - current**2 * 3.3 / 2 + k * (t - 296.0)) / c
 
@@ -112,9 +137,13 @@ def test_an_independent_program_finds_the_same(record: Recorder) -> None:
 
     def residuals(values: np.ndarray) -> np.ndarray:
         temperature, pwm = simulate(values)
-        return np.concatenate([(y[2:] - temperature) / noise.output, (u[2:] - pwm) / noise.input])
+        return np.concatenate(
+            [(y[2:] - temperature) / noise.output, (u[2:] - pwm) / noise.input]
+        )
 
-    theirs = least_squares(residuals, [0.07, 0.5, 28.0], x_scale=[0.1, 0.5, 30.0], diff_step=1e-6)
+    theirs = least_squares(
+        residuals, [0.07, 0.5, 28.0], x_scale=[0.1, 0.5, 30.0], diff_step=1e-6
+    )
     posed = problem(window)
     ours = solve(posed, [posed.values_of(RIG.parameters())])
     # Both stop where the cost no longer changes by 1e-8; the valley is flat to about the root of that.
@@ -151,28 +180,41 @@ def test_fisher_and_covariance_follow_the_noise(record: Recorder) -> None:
     coarse = Problem(window, posed.free, TRUTH, Noise(0.2, 14.0), Peltier.loop)
     coarse_estimate = solve(coarse, [estimate.values])
     coarse_knowledge = uncertainty(coarse, coarse_estimate)
-    np.testing.assert_allclose(coarse_knowledge.fisher, knowledge.fisher / 4.0, rtol=1e-3)
+    np.testing.assert_allclose(
+        coarse_knowledge.fisher, knowledge.fisher / 4.0, rtol=1e-3
+    )
     # The covariance is scaled by what is left, so the weights' common factor drops out.
-    np.testing.assert_allclose(coarse_knowledge.covariance, knowledge.covariance, rtol=1e-2)
+    np.testing.assert_allclose(
+        coarse_knowledge.covariance, knowledge.covariance, rtol=1e-2
+    )
     assert np.all(np.linalg.eigvalsh(knowledge.covariance) > 0.0)
-    assert knowledge.condition == pytest.approx(np.sqrt(knowledge.eigenvalues[-1] / knowledge.eigenvalues[0]))
+    assert knowledge.condition == pytest.approx(
+        np.sqrt(knowledge.eigenvalues[-1] / knowledge.eigenvalues[0])
+    )
 
 
 def test_gradient_and_information_are_those_of_the_residuals(record: Recorder) -> None:
     posed = problem(record(TRUTH, seed=1), (*FREE, "ambient"))
     evaluated = posed.evaluate(posed.values_of(TRUTH))
     direction = 1e-4 * np.array([0.01, -0.05, 2.0, 0.5])
-    ahead, back = (posed.residuals(evaluated.values + way).ravel() for way in (direction, -direction))
+    ahead, back = (
+        posed.residuals(evaluated.values + way).ravel()
+        for way in (direction, -direction)
+    )
     change = (ahead - back) / 2
     residuals = posed.residuals(evaluated.values).ravel()
     assert evaluated.cost == pytest.approx(residuals @ residuals, rel=1e-12)
     assert evaluated.gradient @ direction == pytest.approx(change @ residuals, rel=1e-5)
-    assert direction @ evaluated.hessian @ direction == pytest.approx(change @ change, rel=1e-5)
+    assert direction @ evaluated.hessian @ direction == pytest.approx(
+        change @ change, rel=1e-5
+    )
     assert np.isfinite(posed.evaluate(posed.lower).hessian).all()
 
 
 def test_what_is_not_seen_has_infinite_covariance() -> None:
-    window = Window(np.full(60, 296.0 - KELVIN), np.full(60, 296.0 - KELVIN), np.zeros(60))
+    window = Window(
+        np.full(60, 296.0 - KELVIN), np.full(60, 296.0 - KELVIN), np.zeros(60)
+    )
     posed = problem(window)
     estimate = Estimate(posed, posed.values_of(TRUTH), converged=True)
     knowledge = uncertainty(posed, estimate)
@@ -184,10 +226,16 @@ def test_starts_cover_the_valley_of_what_is_free(record: Recorder) -> None:
     window = record(TRUTH)
     assert len(starts_for(problem(window), TRUTH)) == 3
     assert len(starts_for(problem(window, ("ambient",)), TRUTH)) == 1
-    mass = Problem(window, SINK.structure.free, WITH_SINK, Noise.of(Peltier), Peltier.loop)
+    mass = Problem(
+        window, SINK.structure.free, WITH_SINK, Noise.of(Peltier), Peltier.loop
+    )
     assert [s[-1] for s in starts_for(mass, WITH_SINK)] == [296.0] * 3
     posed = problem(window, ("conductance", "ambient"))
-    assert [s.tolist() for s in starts_for(posed, TRUTH)] == [[0.6, 296.0], [0.6, 296.0], [0.5, 296.0]]
+    assert [s.tolist() for s in starts_for(posed, TRUTH)] == [
+        [0.6, 296.0],
+        [0.6, 296.0],
+        [0.5, 296.0],
+    ]
 
 
 def test_bounds_are_named(record: Recorder) -> None:
@@ -196,12 +244,17 @@ def test_bounds_are_named(record: Recorder) -> None:
     assert on_bounds(posed, np.array([0.2, 0.0, 30.0])) == ("seebeck", "conductance")
 
 
-def test_a_value_far_from_its_bound_is_not_on_it_however_wide_the_bounds_are(record: Recorder) -> None:
+def test_a_value_far_from_its_bound_is_not_on_it_however_wide_the_bounds_are(
+    record: Recorder,
+) -> None:
     posed = problem(record(TRUTH))
     posed.lower[:] = 1e-9
     posed.upper[:] = 1e6
     assert on_bounds(posed, np.array([0.075, 0.6, 30.0])) == ()
-    assert on_bounds(posed, np.array([1e-9, 0.6, 1e6])) == (posed.names[0], posed.names[2])
+    assert on_bounds(posed, np.array([1e-9, 0.6, 1e6])) == (
+        posed.names[0],
+        posed.names[2],
+    )
 
 
 # Estimates against published figures, known truth and a plain program.
@@ -218,7 +271,9 @@ def binary_signal(count: int, rng: np.random.Generator) -> FloatArray:
     return np.repeat(rng.choice([-1.0, 1.0], size=count // 4 + 1), 4)[:count]
 
 
-def recorded(count: int, seed: int, *, sigma: float = 0.3, skip: int = 0) -> tuple[FloatArray, FloatArray]:
+def recorded(
+    count: int, seed: int, *, sigma: float = 0.3, skip: int = 0
+) -> tuple[FloatArray, FloatArray]:
     rng = np.random.default_rng(seed)
     u = binary_signal(count + skip, rng)
     y = lfilter(B, F, u) + lfilter(C, D, sigma * rng.standard_normal(count + skip))
@@ -231,7 +286,11 @@ def gas_furnace() -> tuple[FloatArray, FloatArray]:
     spec = importlib.util.find_spec("TimeSeriesSRC")
     assert spec is not None, "the test extra brings the package timeseries-toolbox"
     assert spec.submodule_search_locations is not None
-    path = Path(spec.submodule_search_locations[0]) / "TestData" / "Series_J_Gas_Furnace.csv"
+    path = (
+        Path(spec.submodule_search_locations[0])
+        / "TestData"
+        / "Series_J_Gas_Furnace.csv"
+    )
     rate, gas = np.loadtxt(path, delimiter=",", skiprows=1).T
     return rate - rate.mean(), gas - gas.mean()
 
@@ -287,11 +346,15 @@ def test_truth_is_recovered_from_closed_loop_data() -> None:
     w = np.zeros(count)
     y = np.zeros(count)
     for t in range(count):
-        w[t] = sum(B[i] * u[t - i] for i in (1, 2) if t >= i) - sum(F[i] * w[t - i] for i in (1, 2) if t >= i)
+        w[t] = sum(B[i] * u[t - i] for i in (1, 2) if t >= i) - sum(
+            F[i] * w[t - i] for i in (1, 2) if t >= i
+        )
         y[t] = w[t] + noise[t]
         u[t] = 0.15 * (reference[t] - y[t])
     model = estimate(u[100:], y[100:], "22221")
-    assert np.all(np.abs(model.coefficients - TRUTH_BJ_ESTIMATION) < 4.0 * model.standard_errors)
+    assert np.all(
+        np.abs(model.coefficients - TRUTH_BJ_ESTIMATION) < 4.0 * model.standard_errors
+    )
 
 
 def test_a_window_that_begins_in_a_transient() -> None:
@@ -317,7 +380,10 @@ def plain_errors(x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
     c = np.append(1.0, x[2:4])
     d = np.append(1.0, x[4:6])
     f = np.append(1.0, x[6:8])
-    if np.max(np.abs(np.roots(c))) >= 1.0 - MEMORY / u.size or np.max(np.abs(np.roots(f))) >= 1.0:
+    if (
+        np.max(np.abs(np.roots(c))) >= 1.0 - MEMORY / u.size
+        or np.max(np.abs(np.roots(f))) >= 1.0
+    ):
         return np.full(u.size, 1e3)
     w = lfilter(b, f, u, zi=x[8:10])[0]
     return np.asarray(lfilter(d, c, y - w, zi=x[10:12])[0])
@@ -332,7 +398,13 @@ def test_no_plain_search_finds_a_lower_loss(seed: int) -> None:
         c, d, f = (np.poly(rng.uniform(-0.5, 0.9, 2))[1:] for _ in range(3))
         x = np.concatenate((rng.standard_normal(2), c, d, f, np.zeros(4)))
         minimum = least_squares(
-            plain_errors, x, args=(u, y), x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12
+            plain_errors,
+            x,
+            args=(u, y),
+            x_scale="jac",
+            xtol=1e-12,
+            ftol=1e-12,
+            gtol=1e-12,
         )
         losses.append(2.0 * minimum.cost / u.size)
     model = estimate(u, y, "22221")
@@ -345,19 +417,25 @@ def test_covariance_is_that_of_finite_differences() -> None:
 
     def errors(coefficients: FloatArray) -> FloatArray:
         b, c, d, f = coefficients.reshape(4, 2)
-        monic = {name: np.append(1.0, part) for name, part in zip("CDF", (c, d, f), strict=True)}
+        monic = {
+            name: np.append(1.0, part)
+            for name, part in zip("CDF", (c, d, f), strict=True)
+        }
         return replace(model, B=np.append(0.0, b), **monic).prediction_errors(u, y)
 
     h = 1e-6
     base = model.coefficients
     jacobian = np.stack(
-        [(errors(base + h * e) - errors(base - h * e)) / (2.0 * h) for e in np.eye(8)], axis=1
+        [(errors(base + h * e) - errors(base - h * e)) / (2.0 * h) for e in np.eye(8)],
+        axis=1,
     )
     # Errors with the start projected out: their Jacobian gives the same covariance without the
     # initial conditions appearing in it (up to the second derivatives, a few per cent here).
     noise = model.variance * 300 / (300 - 8 - 4)
     expected = noise * np.linalg.inv(jacobian.T @ jacobian)
-    np.testing.assert_allclose(model.standard_errors, np.sqrt(np.diag(expected)), rtol=0.1)
+    np.testing.assert_allclose(
+        model.standard_errors, np.sqrt(np.diag(expected)), rtol=0.1
+    )
 
 
 def test_same_data_same_bits() -> None:
@@ -371,13 +449,19 @@ def test_same_data_same_bits() -> None:
 
 def test_more_freedom_is_never_worse() -> None:
     for seed in range(5):
-        losses = [m.variance for m in estimate_ladder(*recorded(200, seed, skip=30)).values()]
+        losses = [
+            m.variance for m in estimate_ladder(*recorded(200, seed, skip=30)).values()
+        ]
         assert all(b <= a * (1.0 + 1e-9) for a, b in pairwise(losses))
 
 
 def test_a_ladder_keeps_the_order_of_its_rungs() -> None:
     u, y = recorded(150, 9)
-    assert list(estimate_ladder(u, y, ("33331", "22221", (2, 1, 1, 2, 1)))) == ["33331", "22221", "21121"]
+    assert list(estimate_ladder(u, y, ("33331", "22221", (2, 1, 1, 2, 1)))) == [
+        "33331",
+        "22221",
+        "21121",
+    ]
 
 
 def test_a_warm_start_is_never_worse_than_where_it_starts() -> None:
@@ -392,8 +476,14 @@ def test_a_warm_start_is_never_worse_than_where_it_starts() -> None:
     [
         (lambda _, y: estimate(np.full(100, 3.0), y), "input u is constant"),
         (lambda u, y: estimate(u[1:], y), "99 samples and output y 100"),
-        (lambda u, y: estimate(u, np.where(np.arange(100) == 2, np.inf, y)), "inf at sample 2"),
-        (lambda u, y: estimate(u[:30], y[:30], "55551"), "30 samples are too few .* 55551; give at least 40"),
+        (
+            lambda u, y: estimate(u, np.where(np.arange(100) == 2, np.inf, y)),
+            "inf at sample 2",
+        ),
+        (
+            lambda u, y: estimate(u[:30], y[:30], "55551"),
+            "30 samples are too few .* 55551; give at least 40",
+        ),
         (lambda u, y: estimate(u, y, initial="guess"), "'guess' is unknown"),
         (
             lambda u, y: estimate(u, y, "22221", start=estimate(u, y, "33331")),
@@ -401,7 +491,9 @@ def test_a_warm_start_is_never_worse_than_where_it_starts() -> None:
         ),
     ],
 )
-def test_what_cannot_be_estimated_is_refused(asked: Callable[..., object], message: str) -> None:
+def test_what_cannot_be_estimated_is_refused(
+    asked: Callable[..., object], message: str
+) -> None:
     with pytest.raises(FittingError, match=message):
         asked(*recorded(100, 19))
 

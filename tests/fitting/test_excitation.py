@@ -32,12 +32,16 @@ def switching(count: int, seed: int, *, every: int = 1) -> FloatArray:
     return np.repeat(signs, every)[:count]
 
 
-def follow(inputs: FloatArray, seed: int, gain: float = 2.0, lag: float = 5.0) -> Window:
+def follow(
+    inputs: FloatArray, seed: int, gain: float = 2.0, lag: float = 5.0
+) -> Window:
     """Readings of a lag that follows its inputs."""
     noise = np.random.default_rng(seed).normal(0.0, NOISE, inputs.size)
     states = np.zeros(inputs.size)
     for k in range(inputs.size - 1):
-        states[k + 1] = states[k] + (gain * inputs[k] - states[k]) * -np.expm1(-1.0 / lag)
+        states[k + 1] = states[k] + (gain * inputs[k] - states[k]) * -np.expm1(
+            -1.0 / lag
+        )
     return Window(np.zeros(inputs.size), states + noise, inputs)
 
 
@@ -46,10 +50,13 @@ def test_the_samples_show_what_the_inputs_do(seed: int) -> None:
     window = follow(switching(300, seed), seed)
     shown = shown_movement(window)[:, 0]
     moved = window.output - np.mean(window.output)
-    assert np.std(shown[30:] - moved[30:]) < 0.2 * np.std(moved)  # noise pulls the fitted poles a little
+    # noise pulls the fitted poles a little
+    assert np.std(shown[30:] - moved[30:]) < 0.2 * np.std(moved)
 
 
-def test_an_input_that_changes_its_sign_at_every_second_sample_moves_what_follows_it() -> None:
+def test_an_input_that_changes_its_sign_at_every_second_sample_moves_what_follows_it() -> (
+    None
+):
     """Its mean over ten samples stands nearly still."""
     inputs = np.resize([1.0, 1.0, -1.0, -1.0], 300)
     shown = shown_movement(follow(inputs, 1))
@@ -59,15 +66,21 @@ def test_an_input_that_changes_its_sign_at_every_second_sample_moves_what_follow
 def test_a_plant_so_slow_that_noise_hides_each_step_shows_in_means() -> None:
     """From one sample to the next the output moves by an eighth of the noise of a reading."""
     window = follow(switching(720, 2, every=90), 3, gain=0.2, lag=300.0)
-    assert np.ptp(shown_movement(window)) == pytest.approx(np.ptp(window.output), rel=0.5)
+    assert np.ptp(shown_movement(window)) == pytest.approx(
+        np.ptp(window.output), rel=0.5
+    )
 
 
 def test_what_the_inputs_do_not_cause_is_not_taken_for_theirs() -> None:
     """Outputs that wander by themselves, beside inputs that switch: none of 200 counts."""
     generator = np.random.default_rng(7)
     for seed in range(200):
-        wandering = np.cumsum(generator.normal(0.0, 0.3, 200)) + generator.normal(0.0, NOISE, 200)
-        window = Window(np.zeros(200), wandering, switching(200, seed, every=1 + seed % 20))
+        wandering = np.cumsum(generator.normal(0.0, 0.3, 200)) + generator.normal(
+            0.0, NOISE, 200
+        )
+        window = Window(
+            np.zeros(200), wandering, switching(200, seed, every=1 + seed % 20)
+        )
         assert not shown_movement(window).any()
 
 
@@ -86,13 +99,19 @@ def test_defaults_that_are_about_right_are_believed(factor: float) -> None:
     window = follow(switching(300, 5), 5)
     effect = weaker(factor)
     assert not unexpected_movement(window, effect).any()
-    np.testing.assert_array_equal(movement_by_inputs(window, effect), expected_movement(window, effect))
+    np.testing.assert_array_equal(
+        movement_by_inputs(window, effect), expected_movement(window, effect)
+    )
 
 
 def test_defaults_that_are_far_off_are_not() -> None:
     window = follow(switching(300, 5), 5)
-    np.testing.assert_array_equal(movement_by_inputs(window, weaker(250.0)), shown_movement(window))
-    np.testing.assert_array_equal(unexpected_movement(window, weaker(250.0)), shown_movement(window))
+    np.testing.assert_array_equal(
+        movement_by_inputs(window, weaker(250.0)), shown_movement(window)
+    )
+    np.testing.assert_array_equal(
+        unexpected_movement(window, weaker(250.0)), shown_movement(window)
+    )
 
 
 def test_a_quiet_window_says_by_what_it_was_judged() -> None:
@@ -103,7 +122,9 @@ def test_a_quiet_window_says_by_what_it_was_judged() -> None:
         "the input moved by 0.02 V, which by the defaults of the plant file moves the output by 0.022 m, "
         "less than the 0.2 m that count"
     )
-    drifting = Window(np.zeros(60), np.linspace(0.0, 5.0, 60), np.resize([0.0, 0.02], 60))
+    drifting = Window(
+        np.zeros(60), np.linspace(0.0, 5.0, 60), np.resize([0.0, 0.02], 60)
+    )
     assert why_not_moved(drifting, Lag, LEAST).endswith(
         "; the output moved by 5 m, but the samples do not show that the input caused it"
     )

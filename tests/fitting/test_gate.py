@@ -60,24 +60,55 @@ FLAWS = {
     ("flaw", "status", "reason"),
     [
         ({}, Status.ACCEPTED, "1.2 times the noise variance"),
-        ({"chi2": 41.0}, Status.NOT_EXPLAINED, "even the best fit leaves residuals of 41 times"),
-        ({"chi2": float("nan")}, Status.NOT_EXPLAINED, "even the best fit leaves residuals of nan"),
+        (
+            {"chi2": 41.0},
+            Status.NOT_EXPLAINED,
+            "even the best fit leaves residuals of 41 times",
+        ),
+        (
+            {"chi2": float("nan")},
+            Status.NOT_EXPLAINED,
+            "even the best fit leaves residuals of nan",
+        ),
         ({"converged": False}, Status.DID_NOT_CONVERGE, "did not converge within"),
-        ({"bounds_hit": ("seebeck",)}, Status.BOUNDS_HIT, "seebeck ended on its bound at 0.075"),
-        ({"condition": 1001.0}, Status.NOT_IDENTIFIABLE, "condition number 1e+03 is above 1000"),
+        (
+            {"bounds_hit": ("seebeck",)},
+            Status.BOUNDS_HIT,
+            "seebeck ended on its bound at 0.075",
+        ),
+        (
+            {"condition": 1001.0},
+            Status.NOT_IDENTIFIABLE,
+            "condition number 1e+03 is above 1000",
+        ),
         ({"condition": float("inf")}, Status.NOT_IDENTIFIABLE, "condition number inf"),
         (
             {"standard_errors": np.array([0.005, 0.4, 2.0])},
             Status.NOT_IDENTIFIABLE,
             "conductance is 0.6 ± 0.4: this window does not determine it",
         ),
-        ({"standard_errors": np.array([np.inf, 0.1, 2])}, Status.NOT_IDENTIFIABLE, "seebeck is 0.075 ± inf"),
+        (
+            {"standard_errors": np.array([np.inf, 0.1, 2])},
+            Status.NOT_IDENTIFIABLE,
+            "seebeck is 0.075 ± inf",
+        ),
         ({"held_back_chi2": 1.7}, Status.NOT_BETTER, "residuals are 1.7 times"),
-        ({"held_back_chi2": float("nan")}, Status.NOT_BETTER, "residuals are nan times"),
-        ({"held_back_chi2": 1.64}, Status.ACCEPTED, "predicts the held-back samples (1.64"),  # by chance
+        (
+            {"held_back_chi2": float("nan")},
+            Status.NOT_BETTER,
+            "residuals are nan times",
+        ),
+        # by chance
+        (
+            {"held_back_chi2": 1.64},
+            Status.ACCEPTED,
+            "predicts the held-back samples (1.64",
+        ),
     ],
 )
-def test_each_flaw_has_its_status(flaw: dict[str, object], status: Status, reason: str) -> None:
+def test_each_flaw_has_its_status(
+    flaw: dict[str, object], status: Status, reason: str
+) -> None:
     judged_status, sentence = judge(replace(GOOD, **flaw), GateLimits())
     assert judged_status is status
     assert reason in sentence
@@ -86,17 +117,24 @@ def test_each_flaw_has_its_status(flaw: dict[str, object], status: Status, reaso
 def test_the_first_flaw_in_order_names_the_status() -> None:
     order = list(FLAWS)
     for i, status in enumerate(order):
-        flaws = {name: value for later in order[i:] for name, value in FLAWS[later].items()}
+        flaws = {
+            name: value for later in order[i:] for name, value in FLAWS[later].items()
+        }
         assert judge(replace(GOOD, **flaws), GateLimits())[0] is status
 
 
 def test_without_slack_the_held_back_part_may_not_be_worse() -> None:
-    assert judge(replace(GOOD, held_back_chi2=1.64), GateLimits(slack=1.0))[0] is Status.NOT_BETTER
+    assert (
+        judge(replace(GOOD, held_back_chi2=1.64), GateLimits(slack=1.0))[0]
+        is Status.NOT_BETTER
+    )
 
 
 def test_a_temperature_is_not_measured_by_its_distance_from_absolute_zero() -> None:
     ambient = replace(
-        GOOD, free=unknown("seebeck", "conductance", "ambient"), values=np.array([0.075, 0.6, 296.0])
+        GOOD,
+        free=unknown("seebeck", "conductance", "ambient"),
+        values=np.array([0.075, 0.6, 296.0]),
     )
     for error, status in ((4.0, Status.ACCEPTED), (6.0, Status.NOT_IDENTIFIABLE)):
         with_error = replace(ambient, standard_errors=np.array([0.005, 0.03, error]))
@@ -114,7 +152,9 @@ def test_a_state_at_the_start_need_not_be_known_well() -> None:
     )
     assert judge(with_start, GateLimits())[0] is Status.ACCEPTED
     parameter = replace(start, initial=False)
-    as_parameter = replace(with_start, free=(*unknown("seebeck", "conductance"), parameter))
+    as_parameter = replace(
+        with_start, free=(*unknown("seebeck", "conductance"), parameter)
+    )
     assert judge(as_parameter, GateLimits())[0] is Status.NOT_IDENTIFIABLE
 
 
@@ -128,8 +168,13 @@ def test_what_was_kept_is_said_and_not_asked_for_its_error() -> None:
     )
     status, reason = judge(two, GateLimits())
     assert status is Status.ACCEPTED
-    assert reason.endswith("not determined and kept: conductance at 0.35 (possible: 0 to 0.4)")
-    assert judge(replace(two, bounds_hit=("seebeck",)), GateLimits())[0] is Status.BOUNDS_HIT
+    assert reason.endswith(
+        "not determined and kept: conductance at 0.35 (possible: 0 to 0.4)"
+    )
+    assert (
+        judge(replace(two, bounds_hit=("seebeck",)), GateLimits())[0]
+        is Status.BOUNDS_HIT
+    )
     loose = replace(two, standard_errors=np.array([0.01, 40.0]))
     assert judge(loose, GateLimits())[0] is Status.NOT_IDENTIFIABLE
 
@@ -172,19 +217,27 @@ def test_only_what_passes_every_limit_is_accepted(
         ([30.0], None),
     ],
 )
-def test_excitation_is_a_movement_of_the_set_point(reference: list[float], excited_at: int | None) -> None:
+def test_excitation_is_a_movement_of_the_set_point(
+    reference: list[float], excited_at: int | None
+) -> None:
     assert first_excited(np.array(reference), 2.0) == excited_at
 
 
 def test_limits_without_a_meaning_are_refused() -> None:
-    with pytest.raises(FittingError, match="the limit condition is 0; it must be positive"):
+    with pytest.raises(
+        FittingError, match="the limit condition is 0; it must be positive"
+    ):
         GateLimits(condition=0)
-    with pytest.raises(FittingError, match=r"held_back is 1\.0; give a share of the window"):
+    with pytest.raises(
+        FittingError, match=r"held_back is 1\.0; give a share of the window"
+    ):
         GateLimits(held_back=1.0)
 
 
 def test_status_values_are_words() -> None:
-    assert {status.value for status in Status} == {status.name.lower() for status in Status}
+    assert {status.value for status in Status} == {
+        status.name.lower() for status in Status
+    }
 
 
 # What a match reports about itself: which parameters are determined, which combination, which step next.
@@ -200,7 +253,9 @@ def small_step(record: Recorder) -> Match:
     return match(record(TRUTH, levels=(30.0, 36.0), seed=4), start=TRUTH)
 
 
-def test_directions_are_the_eigenvectors_of_the_scaled_information(small_step: Match) -> None:
+def test_directions_are_the_eigenvectors_of_the_scaled_information(
+    small_step: Match,
+) -> None:
     scales = np.array([RIG.declared[name].scale for name in small_step.free])
     scaled = small_step.fisher * np.outer(scales, scales)
     np.testing.assert_allclose(
@@ -208,7 +263,9 @@ def test_directions_are_the_eigenvectors_of_the_scaled_information(small_step: M
         small_step.directions * small_step.eigenvalues,
         atol=1e-6 * scaled.max(),
     )
-    np.testing.assert_allclose(small_step.directions.T @ small_step.directions, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(
+        small_step.directions.T @ small_step.directions, np.eye(3), atol=1e-12
+    )
     # Along the valley Seebeck coefficient and heat capacity grow together.
     seebeck, _, heat_capacity = small_step.directions[:, 0]
     assert seebeck > 0.3
@@ -218,14 +275,18 @@ def test_directions_are_the_eigenvectors_of_the_scaled_information(small_step: M
 def test_the_ratio_is_known_where_its_parts_are_not(small_step: Match) -> None:
     assert "seebeck" not in small_step.believed
     assert "heat_capacity" not in small_step.believed
-    assert "best known is the ratio seebeck / heat_capacity (± " in small_step.determined
+    assert (
+        "best known is the ratio seebeck / heat_capacity (± " in small_step.determined
+    )
     assert "left open: " in small_step.determined
     low, high = small_step.intervals[0]
     assert f"seebeck ({low:.3g} to {high:.3g})" in small_step.determined
 
 
 def test_a_rich_window_determines_all(record: Recorder) -> None:
-    result = match(record(TRUTH, levels=(30.0, 80.0, 35.0), seed=4), start=RIG.parameters())
+    result = match(
+        record(TRUTH, levels=(30.0, 80.0, 35.0), seed=4), start=RIG.parameters()
+    )
     assert result.believed == result.free
     assert result.suggestion == ""
     assert "left open" not in result.determined
@@ -250,7 +311,11 @@ def test_the_suggested_step_keeps_its_promise(small_step: Match) -> None:
     for seed in range(12):
         sensor = Sensor(noise=0.1).realise(reference.size, 1.0, seed)
         response = simulate_closed_loop(
-            TRUTH, reference, states=begin(TRUTH, 36.0), controller=PidState(integral=40.0), sensor=sensor
+            TRUTH,
+            reference,
+            states=begin(TRUTH, 36.0),
+            controller=PidState(integral=40.0),
+            sensor=sensor,
         )
         after = match(Window(reference, response.output, response.input), start=TRUTH)
         improvements.append(before / after.standard_errors[place])
@@ -288,26 +353,38 @@ TRUTH_STRUCTURES = FULL.parameters(**TRUE)
 
 
 def recorded(
-    rig: Parameters, sink: float = 291.0, seed: int | None = None, levels: tuple[float, ...] = LEVELS
+    rig: Parameters,
+    sink: float = 291.0,
+    seed: int | None = None,
+    levels: tuple[float, ...] = LEVELS,
 ) -> Window:
     reference = np.repeat(levels, 200)
     sensor = None if seed is None else Peltier.sensor.realise(reference.size, 1.0, seed)
-    run = simulate_closed_loop(rig, reference, states=begin(rig, 22.0, starts={"sink": sink}), sensor=sensor)
+    run = simulate_closed_loop(
+        rig, reference, states=begin(rig, 22.0, starts={"sink": sink}), sensor=sensor
+    )
     return Window(reference, run.output, run.input)
 
 
 def test_the_truth_is_found_without_noise() -> None:
     fitted = fit_structure([recorded(TRUTH_STRUCTURES, sink=299.0).part(0, 1199)], FULL)
     for name in FULL.structure.free:
-        assert fitted.parameters[name] == pytest.approx(TRUTH_STRUCTURES[name], rel=1e-5), name
+        assert fitted.parameters[name] == pytest.approx(
+            TRUTH_STRUCTURES[name], rel=1e-5
+        ), name
     assert fitted.converged
     assert fitted.cost < 1e-8
     assert fitted.fit == pytest.approx((1.0, 1.0), abs=1e-4)
 
 
 def test_sensor_lag_and_slope_are_found_without_noise() -> None:
-    model = Peltier.model("sink with mass, free ambient, switched drive, sensor lag, α(T)")
-    fitted = fit_structure([recorded(model.parameters(**TRUE, sensor_lag=1.2, seebeck_slope=1.5e-4))], model)
+    model = Peltier.model(
+        "sink with mass, free ambient, switched drive, sensor lag, α(T)"
+    )
+    fitted = fit_structure(
+        [recorded(model.parameters(**TRUE, sensor_lag=1.2, seebeck_slope=1.5e-4))],
+        model,
+    )
     assert fitted.parameters["sensor_lag"] == pytest.approx(1.2, rel=1e-3)
     assert fitted.parameters["seebeck_slope"] == pytest.approx(1.5e-4, rel=1e-2)
 
@@ -330,16 +407,24 @@ def test_kicks_of_the_camera_hardly_move_the_parameters() -> None:
     temperature = clean.output.copy()
     temperature[150::180] += 5.0
     kicked = Window(clean.reference, temperature, clean.input)
-    clean_fit, kicked_fit = (fit_structure([w], HELD).parameters for w in (clean, kicked))
+    clean_fit, kicked_fit = (
+        fit_structure([w], HELD).parameters for w in (clean, kicked)
+    )
     # Least squares of the same would move by as much as the six kicks of 50 σ ask: a tenth and more.
-    assert kicked_fit["heat_capacity"] == pytest.approx(clean_fit["heat_capacity"], rel=0.03)
+    assert kicked_fit["heat_capacity"] == pytest.approx(
+        clean_fit["heat_capacity"], rel=0.03
+    )
 
 
 def test_the_first_samples_are_not_judged() -> None:
     window = recorded(TRUTH_STRUCTURES)
     frozen = window.output.copy()
     fitted = fit_structure([window], FULL)
-    assert fitted.measured[0].shape == fitted.simulated[0].shape == (2, len(window) - 2 - SETTLE)
+    assert (
+        fitted.measured[0].shape
+        == fitted.simulated[0].shape
+        == (2, len(window) - 2 - SETTLE)
+    )
     np.testing.assert_array_equal(fitted.measured[0][0], frozen[2 + SETTLE :])
 
 
@@ -360,7 +445,9 @@ def test_an_independent_search_finds_the_same() -> None:
     free = HELD.structure.free
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        return (_driven_round(HELD, dict(zip(free, x, strict=True)), window) * weights).ravel()
+        return (
+            _driven_round(HELD, dict(zip(free, x, strict=True)), window) * weights
+        ).ravel()
 
     theirs = least_squares(
         residuals,
@@ -405,7 +492,9 @@ def test_what_cannot_be_fitted_is_refused() -> None:
     window = recorded(TRUTH_STRUCTURES, levels=(40.0,))
     with pytest.raises(FittingError, match="there is no window"):
         fit_structure([], FULL)
-    with pytest.raises(FittingError, match="has 62 samples; the first 62 are not compared"):
+    with pytest.raises(
+        FittingError, match="has 62 samples; the first 62 are not compared"
+    ):
         fit_structure([window.part(0, 61)], FULL)
     with pytest.raises(FittingError, match=r"controller runs every 0\.5 s"):
         fit_structure([window], FULL, law=replace(Peltier.loop, period=0.5))

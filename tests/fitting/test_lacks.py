@@ -20,7 +20,9 @@ from twinmatch.plants import find_plant
 
 
 @pytest.mark.parametrize(("seed", "stores"), [(2, 2), (3, 3)])
-def test_of_a_room_of_several_stores_the_lacking_one_is_named(seed: int, stores: int) -> None:
+def test_of_a_room_of_several_stores_the_lacking_one_is_named(
+    seed: int, stores: int
+) -> None:
     lack = judged_room(seed, stores).split("; ")[-1]
     assert lack.startswith("a second store between heating and inner")
     assert (", and a third one beside it" in lack) is (stores == 3)
@@ -39,19 +41,28 @@ def test_the_lines_that_are_shown_are_the_second_store(tmp_path: Path) -> None:
     assert finding.what.startswith(
         "the structure 'one store' leaves residuals: a second store beside inner of"
     )
-    titles = [note.startswith("lines that add a second store beside inner") for note in compared.notes]
+    titles = [
+        note.startswith("lines that add a second store beside inner")
+        for note in compared.notes
+    ]
     title = titles.index(True)
     lines = [note[2:] for note in compared.notes[title + 1 :]]
     split = next(k for k, line in enumerate(lines) if line.startswith("in `equations`"))
     declared = [re.sub(r"= \{…, (.*)\}$", r"= {\1}", line) for line in lines[:split]]
     source = textwrap.dedent(inspect.getsource(Room))
     source = re.sub(
-        r"    structures = .*", textwrap.indent("\n".join(declared), "    ").replace("\\", ""), source
+        r"    structures = .*",
+        textwrap.indent("\n".join(declared), "    ").replace("\\", ""),
+        source,
     )
-    source = source.replace("return Equations(", "held = Equations(").replace('"room"', '"walled"')
+    source = source.replace("return Equations(", "held = Equations(").replace(
+        '"room"', '"walled"'
+    )
     body = textwrap.indent("\n".join(lines[split + 1 :]), "    ")
     path = tmp_path / "walled.py"
-    path.write_text(f"from twinmatch.dynamics import *\n\n\n{source.rstrip()}\n{body}\n")
+    path.write_text(
+        f"from twinmatch.dynamics import *\n\n\n{source.rstrip()}\n{body}\n"
+    )
     plant = find_plant(str(path))
     fitted = fit_structure([window], plant.model(), law=None)
     residuals = (fitted.measured[0] - fitted.simulated[0]) / plant.output.noise
@@ -81,7 +92,9 @@ def test_the_lines_import_what_they_use() -> None:
     names = ("DeadTime", "Parameter", "State", "dry_friction", "replace")
     for what, lines in lines_of.items():
         text = "\n".join(line for line in lines if not line.startswith("from "))
-        imported = " ".join(line.partition(" import ")[2] for line in lines if line.startswith("from "))
+        imported = " ".join(
+            line.partition(" import ")[2] for line in lines if line.startswith("from ")
+        )
         used = {name for name in names if re.search(rf"\b{name}\(", text)}
         assert used == set(re.findall(r"\w+", imported)), what
     assert any("replace" in "".join(lines) for lines in lines_of.values())

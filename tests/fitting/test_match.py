@@ -14,8 +14,22 @@ import pytest
 from scipy.optimize import least_squares
 
 from tests.support.plants import Lag, Motor
-from twinmatch.dynamics import Parameters, PlantError, Sensor, begin, simulate_closed_loop, simulate_driven
-from twinmatch.fitting import Expectation, FittingError, GateLimits, Match, Status, match
+from twinmatch.dynamics import (
+    Parameters,
+    PlantError,
+    Sensor,
+    begin,
+    simulate_closed_loop,
+    simulate_driven,
+)
+from twinmatch.fitting import (
+    Expectation,
+    FittingError,
+    GateLimits,
+    Match,
+    Status,
+    match,
+)
 from twinmatch.fitting.estimation import (
     QUANTILE,
     Estimate,
@@ -37,7 +51,11 @@ START = RIG.parameters()
 WITH_SINK = Peltier.model("sink with mass").parameters(
     **{**dict(TRUTH), "sink_heat_capacity": 300.0, "sink_convection": 3.0}
 )
-AUTHORS_BOUNDS = {"seebeck": (0.02, 0.15), "conductance": (0.0, 1.0), "heat_capacity": (10.0, 60.0)}
+AUTHORS_BOUNDS = {
+    "seebeck": (0.02, 0.15),
+    "conductance": (0.0, 1.0),
+    "heat_capacity": (10.0, 60.0),
+}
 """The tighter limits of the paper's matching."""
 PLATE = ("seebeck", "conductance", "heat_capacity")
 
@@ -65,7 +83,9 @@ def test_a_good_window_is_accepted(record: Recorder) -> None:
 def test_parameters_that_are_not_free_stay(record: Recorder) -> None:
     start = RIG.parameters(resistance=3.1, ambient=295.0)
     result = match(record(TRUTH, seed=4), free=["heat_capacity"], start=start)
-    assert result.parameters == start.replace(heat_capacity=result.parameters["heat_capacity"])
+    assert result.parameters == start.replace(
+        heat_capacity=result.parameters["heat_capacity"]
+    )
 
 
 def test_the_same_window_gives_the_same_bits(record: Recorder) -> None:
@@ -93,9 +113,13 @@ def test_without_a_step_there_is_no_excitation(record: Recorder) -> None:
     assert result.parameters == START
     assert np.isnan(result.covariance).all()
     assert np.isnan(result.standard_errors).all()
-    assert all(map(math.isnan, (*result.fit, *result.held_back, result.chi2, result.condition)))
+    assert all(
+        map(math.isnan, (*result.fit, *result.held_back, result.chi2, result.condition))
+    )
     assert (
-        match(record(TRUTH, levels=(30.0, 30.4), seed=1), start=START, min_step=0.5).status
+        match(
+            record(TRUTH, levels=(30.0, 30.4), seed=1), start=START, min_step=0.5
+        ).status
         is not Status.NO_EXCITATION
     )
 
@@ -105,7 +129,9 @@ def test_a_step_near_the_end_is_too_late(record: Recorder) -> None:
     result = match(window.part(1060, 1190), start=START)
     assert result.status is Status.NO_EXCITATION
     assert "moved at sample 1160, too near to the window's end at 1190" in result.reason
-    assert match(window.part(1060, 1210), start=START).status is not Status.NO_EXCITATION
+    assert (
+        match(window.part(1060, 1210), start=START).status is not Status.NO_EXCITATION
+    )
 
 
 @pytest.mark.parametrize("size", [1, 2, 5])
@@ -116,15 +142,24 @@ def test_a_handful_of_samples_is_not_excitation(size: int) -> None:
 
 def test_a_lost_drive_is_not_explained(record: Recorder) -> None:
     window = record(TRUTH, seed=4)
-    lost = np.where(np.arange(len(window)) > 180, 30.0 + 25.0 * np.exp(-np.arange(len(window)) / 80), 0.0)
+    lost = np.where(
+        np.arange(len(window)) > 180,
+        30.0 + 25.0 * np.exp(-np.arange(len(window)) / 80),
+        0.0,
+    )
     temperature = np.where(lost > 0.0, lost, window.output)
-    result = match(Window(window.reference, temperature, window.input, first=window.first), start=START)
+    result = match(
+        Window(window.reference, temperature, window.input, first=window.first),
+        start=START,
+    )
     assert result.status is Status.NOT_EXPLAINED
     assert "the plant did something" in result.reason
 
 
 def test_a_truth_outside_the_bounds_hits_them(record: Recorder) -> None:
-    result = match(record(TRUTH, seed=4), start=START, bounds={"heat_capacity": (40.0, 60.0)})
+    result = match(
+        record(TRUTH, seed=4), start=START, bounds={"heat_capacity": (40.0, 60.0)}
+    )
     assert result.status is Status.BOUNDS_HIT
     assert result.bounds_hit == ("heat_capacity",)
     assert result.parameters["heat_capacity"] == 40.0
@@ -157,7 +192,9 @@ def test_what_stands_is_kept_only_as_far_as_the_window_allows(record: Recorder) 
     low, high = far.intervals[0]
     assert 0.01 < low < TRUTH["seebeck"] < high
     assert far.parameters["seebeck"] == pytest.approx(low)
-    assert far.parameters["seebeck"] / far.parameters["heat_capacity"] == pytest.approx(0.0025, rel=0.5)
+    assert far.parameters["seebeck"] / far.parameters["heat_capacity"] == pytest.approx(
+        0.0025, rel=0.5
+    )
 
 
 def test_a_fit_that_may_not_finish_did_not_converge(
@@ -170,15 +207,28 @@ def test_a_fit_that_may_not_finish_did_not_converge(
 def test_an_incumbent_that_is_the_truth_is_hard_to_beat(record: Recorder) -> None:
     window = record(TRUTH, seed=4)
     limits = GateLimits(slack=0.9)  # better by a tenth is more than noise allows
-    assert match(window, start=START, incumbent=TRUTH, limits=limits).status is Status.NOT_BETTER
+    assert (
+        match(window, start=START, incumbent=TRUTH, limits=limits).status
+        is Status.NOT_BETTER
+    )
     poor = TRUTH.replace(seebeck=0.05)
-    assert match(window, start=START, incumbent=poor, limits=limits).status is Status.ACCEPTED
+    assert (
+        match(window, start=START, incumbent=poor, limits=limits).status
+        is Status.ACCEPTED
+    )
 
 
 def test_an_incumbent_with_a_moving_sink_gets_its_sink_fitted(record: Recorder) -> None:
     window = record(WITH_SINK, seed=4)
-    truth = match(window, start=TRUTH, incumbent=WITH_SINK, limits=GateLimits(slack=0.9))
-    cold = match(window, start=TRUTH, incumbent=TRUTH.replace(ambient=270.0), limits=GateLimits(slack=0.9))
+    truth = match(
+        window, start=TRUTH, incumbent=WITH_SINK, limits=GateLimits(slack=0.9)
+    )
+    cold = match(
+        window,
+        start=TRUTH,
+        incumbent=TRUTH.replace(ambient=270.0),
+        limits=GateLimits(slack=0.9),
+    )
     assert truth.status is Status.NOT_BETTER
     assert cold.status is Status.ACCEPTED
 
@@ -191,7 +241,8 @@ def test_other_periods_are_matched_as_well() -> None:
     result = match(window, start=START, law=gains)
     assert result.parameters["heat_capacity"] == pytest.approx(30.0, rel=1e-6)
     with pytest.raises(
-        FittingError, match=r"controller runs every 1\.0 s but the window's samples come every 0\.5"
+        FittingError,
+        match=r"controller runs every 1\.0 s but the window's samples come every 0\.5",
     ):
         match(window, start=START, law=Peltier.loop)
 
@@ -199,31 +250,54 @@ def test_other_periods_are_matched_as_well() -> None:
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"free": ["alpha"]}, "'alpha' cannot be free in Peltier rig, held sink; choose from seebeck"),
+        (
+            {"free": ["alpha"]},
+            "'alpha' cannot be free in Peltier rig, held sink; choose from seebeck",
+        ),
         ({"free": []}, "give at least one parameter and none twice"),
-        ({"free": ["seebeck", "seebeck"]}, "give at least one parameter and none twice"),
-        ({"free": ["sink_convection"]}, "'sink_convection' cannot be free in Peltier rig, held sink"),
-        ({"bounds": {"alpha": (0.0, 1.0)}}, "bounds for 'alpha', which is unknown; choose from seebeck"),
+        (
+            {"free": ["seebeck", "seebeck"]},
+            "give at least one parameter and none twice",
+        ),
+        (
+            {"free": ["sink_convection"]},
+            "'sink_convection' cannot be free in Peltier rig, held sink",
+        ),
+        (
+            {"bounds": {"alpha": (0.0, 1.0)}},
+            "bounds for 'alpha', which is unknown; choose from seebeck",
+        ),
         (
             {"bounds": {"conductance": (1.0, 0.0)}},
             r"the bounds of conductance are 1\.0 and 0\.0",
         ),
-        ({"bounds": {"conductance": (-1.0, 1.0)}}, "conductance is -1 W/K; it must be finite and at least 0"),
+        (
+            {"bounds": {"conductance": (-1.0, 1.0)}},
+            "conductance is -1 W/K; it must be finite and at least 0",
+        ),
     ],
 )
-def test_questions_without_meaning_are_refused(record: Recorder, asked: dict[str, Any], words: str) -> None:
+def test_questions_without_meaning_are_refused(
+    record: Recorder, asked: dict[str, Any], words: str
+) -> None:
     with pytest.raises((FittingError, PlantError), match=words):
         match(record(TRUTH), start=START, **asked)
 
 
 def test_impossible_noise_is_refused() -> None:
-    with pytest.raises(FittingError, match=r"noise: input is 0\.0; it must be finite and positive"):
+    with pytest.raises(
+        FittingError, match=r"noise: input is 0\.0; it must be finite and positive"
+    ):
         Noise(0.1, 0.0)
 
 
 def two_regime_windows(hour: Window) -> Iterator[Window]:
     """From 20 samples before a set-point step to 240 after the next, or to the one after that."""
-    steps = [0, *(np.flatnonzero(np.abs(np.diff(hour.reference)) >= 2.0) + 1).tolist(), len(hour)]
+    steps = [
+        0,
+        *(np.flatnonzero(np.abs(np.diff(hour.reference)) >= 2.0) + 1).tolist(),
+        len(hour),
+    ]
     for before, step, after in zip(steps, steps[1:], steps[2:], strict=False):
         yield hour.part(max(before - 20, 0), min(step + 240, after - 1))
 
@@ -240,7 +314,11 @@ def matches(hour: Window, start: Parameters) -> Iterator[tuple[Window, Match]]:
 def test_no_window_with_the_lost_drive_is_accepted(
     recorded_hour: Callable[[int], Window], start: Parameters
 ) -> None:
-    faulty = [result for window, result in matches(recorded_hour(27), start) if window.last > 2155]
+    faulty = [
+        result
+        for window, result in matches(recorded_hour(27), start)
+        if window.last > 2155
+    ]
     assert len(faulty) >= 4
     assert {result.status for result in faulty} == {Status.NOT_EXPLAINED}
 
@@ -250,7 +328,9 @@ def test_healthy_windows_are_accepted_or_honestly_refused(
 ) -> None:
     count: Counter[Status] = Counter()
     for number in set(recordings) & {1, 5, 14}:
-        count.update(result.status for _, result in matches(recorded_hour(number), START))
+        count.update(
+            result.status for _, result in matches(recorded_hour(number), START)
+        )
     total = sum(count.values())
     # The one suspicion is the start of recording 1, where the camera lags several seconds.
     assert count[Status.NOT_EXPLAINED] <= 1
@@ -273,11 +353,15 @@ TRUTH_ANY_PLANT = MOTOR.parameters(k=0.06, j=6e-4, b=2e-4)
 LAG = Lag.model()
 
 
-def spun(levels: tuple[float, ...] = (50.0, 150.0, 90.0), seed: int | None = 3) -> Window:
+def spun(
+    levels: tuple[float, ...] = (50.0, 150.0, 90.0), seed: int | None = 3
+) -> Window:
     """The motor in its speed loop, every 0.05 s, under a load that changes halfway."""
     reference = np.repeat(levels, 120)
     load = np.where(np.arange(reference.size) < reference.size // 2, 0.0, 0.05)[:, None]
-    sensor = None if seed is None else Sensor(noise=0.2).realise(reference.size, 0.05, seed)
+    sensor = (
+        None if seed is None else Sensor(noise=0.2).realise(reference.size, 0.05, seed)
+    )
     run = simulate_closed_loop(
         TRUTH_ANY_PLANT,
         reference,
@@ -303,7 +387,9 @@ def test_a_motor_is_found_exactly_without_noise_and_through_its_sensor() -> None
     assert a_match.free == ("k", "j", "b")
     assert a_match.accepted
     for name in a_match.free:
-        assert a_match.parameters[name] == pytest.approx(TRUTH_ANY_PLANT[name], rel=1e-6)
+        assert a_match.parameters[name] == pytest.approx(
+            TRUTH_ANY_PLANT[name], rel=1e-6
+        )
     a_match = match(spun(), start=MOTOR.parameters())
     assert a_match.accepted
     assert within(a_match, TRUTH_ANY_PLANT)
@@ -312,7 +398,10 @@ def test_a_motor_is_found_exactly_without_noise_and_through_its_sensor() -> None
 def test_words_use_the_plant_s_own_units() -> None:
     still = match(spun((50.0, 50.5)), start=MOTOR.parameters())
     assert still.status is Status.NO_EXCITATION
-    assert still.reason == "the set-point did not move by 1 rad/s within the window's 240 samples"
+    assert (
+        still.reason
+        == "the set-point did not move by 1 rad/s within the window's 240 samples"
+    )
 
 
 def test_a_lag_without_a_known_loop_is_found_from_its_input() -> None:
@@ -332,11 +421,15 @@ def test_what_a_driven_twin_says_of_its_error_is_that_of_plain_regression() -> N
 
     def residuals(x: np.ndarray) -> np.ndarray:
         plant = LAG.parameters(gain=x[0], lag=x[1])
-        run = simulate_driven(plant, window.input[2:], states=begin(plant, float(window.output[2])))
+        run = simulate_driven(
+            plant, window.input[2:], states=begin(plant, float(window.output[2]))
+        )
         return (window.output[2:] - run.output) / Lag.y.noise
 
     theirs = least_squares(residuals, [2.5, 6.0], x_scale=[1.0, 5.0], diff_step=1e-7)
-    assert [a_match.parameters["gain"], a_match.parameters["lag"]] == pytest.approx(theirs.x, rel=1e-5)
+    assert [a_match.parameters["gain"], a_match.parameters["lag"]] == pytest.approx(
+        theirs.x, rel=1e-5
+    )
     plain = np.sqrt(np.diag(np.linalg.inv(theirs.jac.T @ theirs.jac)) * a_match.chi2)
     assert a_match.standard_errors == pytest.approx(plain, rel=0.05)
     assert a_match.accepted
@@ -366,14 +459,20 @@ def fitted(window: Window) -> tuple[Problem, Estimate, Uncertainty]:
     return posed, estimate, uncertainty(posed, estimate)
 
 
-@pytest.mark.parametrize(("levels", "seed"), [((30.0, 55.0, 42.0), 3), ((30.0, 45.0), 5), ((60.0, 35.0), 1)])
+@pytest.mark.parametrize(
+    ("levels", "seed"), [((30.0, 55.0, 42.0), 3), ((30.0, 45.0), 5), ((60.0, 35.0), 1)]
+)
 def test_the_ends_are_where_a_fit_of_the_others_has_risen_to_the_limit(
     record: Recorder, levels: tuple[float, ...], seed: int
 ) -> None:
     """Each finite end by brute force: the others fitted by scipy with this parameter held there."""
     posed, estimate, knowledge = fitted(record(TRUTH, levels=levels, seed=seed))
     intervals = profile_intervals(posed, estimate.values, knowledge.covariance)
-    rises = QUANTILE * np.diag(knowledge.covariance) / np.diag(np.linalg.inv(knowledge.fisher))
+    rises = (
+        QUANTILE
+        * np.diag(knowledge.covariance)
+        / np.diag(np.linalg.inv(knowledge.fisher))
+    )
     least = estimate.chi2 * estimate.residuals.size
     finite = 0
     for i, side in np.ndindex(3, 2):
@@ -384,7 +483,10 @@ def test_the_ends_are_where_a_fit_of_the_others_has_risen_to_the_limit(
         other_places = [j for j in range(3) if j != i]
 
         def residuals(
-            x: np.ndarray, i: int = i, end: float = end, places: list[int] = other_places
+            x: np.ndarray,
+            i: int = i,
+            end: float = end,
+            places: list[int] = other_places,
         ) -> np.ndarray:
             values = np.empty(3)
             values[i] = end
@@ -407,12 +509,16 @@ def test_the_ends_are_where_a_fit_of_the_others_has_risen_to_the_limit(
 
 def test_a_well_determined_interval_is_that_of_the_variance(record: Recorder) -> None:
     posed, _, knowledge = fitted(record(TRUTH, seed=2))
-    alone = Problem(posed.window, ("heat_capacity",), TRUTH, Noise.of(Peltier), Peltier.loop)
+    alone = Problem(
+        posed.window, ("heat_capacity",), TRUTH, Noise.of(Peltier), Peltier.loop
+    )
     single = solve(alone, [alone.values_of(TRUTH)])
     of_one = uncertainty(alone, single)
     (low, high) = profile_intervals(alone, single.values, of_one.covariance)[0]
     half = 1.96 * np.sqrt(of_one.covariance[0, 0])
-    assert [low, high] == pytest.approx([single.values[0] - half, single.values[0] + half], rel=0.01)
+    assert [low, high] == pytest.approx(
+        [single.values[0] - half, single.values[0] + half], rel=0.01
+    )
     assert high - low < 0.5 * 2 * 1.96 * np.sqrt(knowledge.covariance[2, 2])
 
 
@@ -421,7 +527,9 @@ def test_nineteen_of_twenty_intervals_hold_the_truth(record: Recorder) -> None:
     truth = np.array([TRUTH[name] for name in FREE])
     inside = []
     for seed in range(80):
-        posed, estimate, knowledge = fitted(record(TRUTH, levels=(30.0, 50.0), seed=seed))
+        posed, estimate, knowledge = fitted(
+            record(TRUTH, levels=(30.0, 50.0), seed=seed)
+        )
         low, high = profile_intervals(posed, estimate.values, knowledge.covariance).T
         inside.append((low <= truth) & (truth <= high))
     assert np.all(np.mean(inside, axis=0) >= 0.86)
@@ -431,18 +539,23 @@ def test_nineteen_of_twenty_intervals_hold_the_truth(record: Recorder) -> None:
 def test_what_the_window_does_not_close_is_open(record: Recorder) -> None:
     posed, estimate, knowledge = fitted(record(TRUTH, levels=(30.0, 32.0), seed=4))
     intervals = profile_intervals(posed, estimate.values, knowledge.covariance)
-    assert np.argwhere(np.isinf(intervals)).tolist() == [[0, 0]]  # a Seebeck coefficient as small as you like
+    # a Seebeck coefficient as small as you like
+    assert np.argwhere(np.isinf(intervals)).tolist() == [[0, 0]]
     infinite = profile_intervals(posed, estimate.values, np.full((3, 3), np.inf))
     assert infinite[:, 1].tolist() == [np.inf] * 3
     assert infinite[:, 0].tolist() == [-np.inf, 0.0, -np.inf]
 
 
-def test_ends_beside_an_unknown_start_are_where_the_sum_has_risen(record: Recorder) -> None:
+def test_ends_beside_an_unknown_start_are_where_the_sum_has_risen(
+    record: Recorder,
+) -> None:
     """A sink with mass: its start follows when the conductance is moved, by brute force too."""
     rig = Peltier.model("sink with mass").parameters(
         **{**dict(TRUTH), "sink_heat_capacity": 300.0, "sink_convection": 3.0}
     )
-    posed = Problem(record(rig, seed=1), ("conductance",), rig, Noise.of(Peltier), Peltier.loop)
+    posed = Problem(
+        record(rig, seed=1), ("conductance",), rig, Noise.of(Peltier), Peltier.loop
+    )
     assert posed.names == ("conductance", "sink")
     estimate = solve(posed, [posed.values_of(rig)])
     knowledge = uncertainty(posed, estimate)
@@ -462,44 +575,80 @@ def test_ends_beside_an_unknown_start_are_where_the_sum_has_risen(record: Record
 # --- what is known beforehand ---
 
 
-def test_with_a_prior_the_match_is_where_an_independent_search_finds_it(record: Recorder) -> None:
+def test_with_a_prior_the_match_is_where_an_independent_search_finds_it(
+    record: Recorder,
+) -> None:
     window = record(TRUTH, seed=4)
-    expected = {"conductance": Expectation(0.5, 0.02), "heat_capacity": Expectation(33.0, 1.0)}
+    expected = {
+        "conductance": Expectation(0.5, 0.02),
+        "heat_capacity": Expectation(33.0, 1.0),
+    }
     a_match = match(window, start=START, prior=expected)
     problem = Problem(window, PLATE, START, Noise.of(Peltier), Peltier.loop)
 
     def residuals(values: FloatArray) -> FloatArray:
         pulled = [  # one independent residual is 30 of those that follow one another
-            math.sqrt(30.0) * (values[PLATE.index(name)] - expectation.mean) / expectation.deviation
+            math.sqrt(30.0)
+            * (values[PLATE.index(name)] - expectation.mean)
+            / expectation.deviation
             for name, expectation in expected.items()
         ]
         return np.concatenate([problem.residuals(values).ravel(), pulled])
 
     best = least_squares(
-        residuals, problem.values_of(START), x_scale=[0.1, 1.0, 30.0], xtol=1e-12, ftol=1e-12
+        residuals,
+        problem.values_of(START),
+        x_scale=[0.1, 1.0, 30.0],
+        xtol=1e-12,
+        ftol=1e-12,
     )
     # Both searches end where a step changes the cost by less than a part in a million.
-    np.testing.assert_allclose([a_match.parameters[n] for n in PLATE], best.x, rtol=2e-4)
+    np.testing.assert_allclose(
+        [a_match.parameters[n] for n in PLATE], best.x, rtol=2e-4
+    )
     plain = match(window, start=START)
-    assert abs(a_match.parameters["conductance"] - 0.5) < abs(plain.parameters["conductance"] - 0.5)
-    right = match(window, start=START, prior={n: Expectation(TRUTH[n], 0.1 * TRUTH[n]) for n in PLATE})
+    assert abs(a_match.parameters["conductance"] - 0.5) < abs(
+        plain.parameters["conductance"] - 0.5
+    )
+    right = match(
+        window,
+        start=START,
+        prior={n: Expectation(TRUTH[n], 0.1 * TRUTH[n]) for n in PLATE},
+    )
     # What the window leaves open is known better. The prior weighs as if the residuals were correlated
     # as on a real rig; these are not, so the conductance, which they show, gets some of the prior's error.
-    assert (np.diag(right.covariance) <= np.array([0.6, 2.0, 0.6]) * np.diag(plain.covariance)).all()
+    assert (
+        np.diag(right.covariance)
+        <= np.array([0.6, 2.0, 0.6]) * np.diag(plain.covariance)
+    ).all()
 
 
-def test_a_vague_prior_changes_nothing_and_a_window_outweighs_a_wrong_one(record: Recorder) -> None:
+def test_a_vague_prior_changes_nothing_and_a_window_outweighs_a_wrong_one(
+    record: Recorder,
+) -> None:
     window = record(TRUTH, seed=4)
     plain = match(window, start=START)
-    vague = match(window, start=START, prior={name: Expectation(2.0 * START[name], 1e5) for name in PLATE})
+    vague = match(
+        window,
+        start=START,
+        prior={name: Expectation(2.0 * START[name], 1e5) for name in PLATE},
+    )
     for name in PLATE:
         assert vague.parameters[name] == pytest.approx(plain.parameters[name], rel=1e-4)
-    wrong = match(window, start=START, prior={"conductance": Expectation(1.3 * TRUTH["conductance"], 0.06)})
+    wrong = match(
+        window,
+        start=START,
+        prior={"conductance": Expectation(1.3 * TRUTH["conductance"], 0.06)},
+    )
     error = abs(wrong.parameters["conductance"] / TRUTH["conductance"] - 1.0)
-    assert error < 0.1, "a window of 300 samples moves a prior that is off by three deviations"
+    assert error < 0.1, (
+        "a window of 300 samples moves a prior that is off by three deviations"
+    )
 
 
-def test_a_prior_that_is_right_makes_windows_that_show_little_agree(record: Recorder) -> None:
+def test_a_prior_that_is_right_makes_windows_that_show_little_agree(
+    record: Recorder,
+) -> None:
     """Small steps: what one window leaves open was accepted anywhere in its valley."""
     right = {name: Expectation(TRUTH[name], 0.1 * TRUTH[name]) for name in PLATE}
 
@@ -509,7 +658,11 @@ def test_a_prior_that_is_right_makes_windows_that_show_little_agree(record: Reco
     spread = {}
     for name, prior in (("without", {}), ("with", right)):
         matches = [
-            match(record(TRUTH, levels=(40.0, 43.0, 40.0), seed=k), start=START, prior=prior)
+            match(
+                record(TRUTH, levels=(40.0, 43.0, 40.0), seed=k),
+                start=START,
+                prior=prior,
+            )
             for k in range(6)
         ]
         spread[name] = np.std([errors(a_match) for a_match in matches], axis=0)

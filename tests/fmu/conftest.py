@@ -7,7 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.fmus import ForkedWorker, build_c_fmu, build_c_fmu_3, build_python_fmu, write_map
+from tests.support.fmus import (
+    ForkedWorker,
+    build_c_fmu,
+    build_c_fmu_3,
+    build_python_fmu,
+    write_map,
+)
 from twinmatch.dynamics import Model
 from twinmatch.fmu import adopt_fmus, is_fmu, process
 from twinmatch.plants import Peltier

@@ -12,7 +12,14 @@ import yaml
 
 from tests.support.fmus import build_python_fmu, write_map
 from twinmatch.cli import main
-from twinmatch.dynamics import Model, PlantError, Structure, StructureLostError, begin, simulate_closed_loop
+from twinmatch.dynamics import (
+    Model,
+    PlantError,
+    Structure,
+    StructureLostError,
+    begin,
+    simulate_closed_loop,
+)
 from twinmatch.fmu import is_fmu
 from twinmatch.offline.judging import Judgement, judge_samples
 from twinmatch.offline.verification import ForeignError, check_fmus
@@ -51,7 +58,9 @@ def judged(samples: list[Sample]) -> Judgement:
 @pytest.fixture
 def only_fmus(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside the matches nothing competes but FMUs, which keeps the test short."""
-    structures = {n: s if is_fmu(n) else _unwatched(s) for n, s in Peltier.structures.items()}
+    structures = {
+        n: s if is_fmu(n) else _unwatched(s) for n, s in Peltier.structures.items()
+    }
     monkeypatch.setattr(Peltier, "structures", structures)
 
 
@@ -69,7 +78,9 @@ def test_wrong_physics_loses_the_choice_of_structures(
     assert choice.chosen != wrong.structure_name
     error_of = {score.name: score.off for score in choice.scores}
     # The right one is the native one; the wrong one errs in the transient of the part held back.
-    assert error_of[right.structure_name] == pytest.approx(error_of["held sink"], rel=1e-6)
+    assert error_of[right.structure_name] == pytest.approx(
+        error_of["held sink"], rel=1e-6
+    )
     assert error_of[wrong.structure_name] > 1.2 * error_of["held sink"]
 
 
@@ -101,10 +112,14 @@ def test_two_judgements_are_the_same_to_the_last_bit(
 
 
 @pytest.mark.usefixtures("only_fmus")
-def test_one_that_is_lost_takes_no_one_with_it(adopted: Callable[..., Model], tmp_path: Path, capfd) -> None:
+def test_one_that_is_lost_takes_no_one_with_it(
+    adopted: Callable[..., Model], tmp_path: Path, capfd
+) -> None:
     samples = a_session(600)
     alone = judged(samples).verdicts
-    model = adopted(build_python_fmu(tmp_path, "Hanging", culprit="hangs", steps=2), patience=0.5)
+    model = adopted(
+        build_python_fmu(tmp_path, "Hanging", culprit="hangs", steps=2), patience=0.5
+    )
     beside = judged(samples).verdicts
     assert "no answer within" in model.lost
     assert "everything else continues without this structure" in capfd.readouterr().err
@@ -114,7 +129,9 @@ def test_one_that_is_lost_takes_no_one_with_it(adopted: Callable[..., Model], tm
 
 
 @pytest.mark.usefixtures("only_fmus")
-def test_one_that_is_lost_while_it_leads_leaves(adopted: Callable[..., Model], exchange_fmu: Path) -> None:
+def test_one_that_is_lost_while_it_leads_leaves(
+    adopted: Callable[..., Model], exchange_fmu: Path
+) -> None:
     model = adopted(exchange_fmu)
     samples = a_session(700)
     twin = Twin(TwinSettings())
@@ -131,23 +148,31 @@ def test_one_that_is_lost_while_it_leads_leaves(adopted: Callable[..., Model], e
 
 
 @pytest.mark.usefixtures("adopted")
-def test_a_configuration_lets_fmus_run_and_a_recording_does_not(exchange_fmu: Path, tmp_path: Path) -> None:
+def test_a_configuration_lets_fmus_run_and_a_recording_does_not(
+    exchange_fmu: Path, tmp_path: Path
+) -> None:
     maps = write_map(tmp_path, exchange_fmu, "from a file")
     config = tmp_path / "twin.yaml"
-    config.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"allow_fmu": str(maps)}}}))
+    config.write_text(
+        yaml.safe_dump({"/**": {"ros__parameters": {"allow_fmu": str(maps)}}})
+    )
     recorded_values("session x", {"plant": "peltier", "allow_fmu": str(maps)})
     assert not [name for name in Peltier.structures if is_fmu(name)]
     read_settings(config)
     (name,) = [name for name in Peltier.structures if is_fmu(name)]
     assert name.startswith("from a file (FMU ")
     assert Peltier.structures[name].watched
-    config.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"allow_fmu": "nowhere.yaml"}}}))
+    config.write_text(
+        yaml.safe_dump({"/**": {"ros__parameters": {"allow_fmu": "nowhere.yaml"}}})
+    )
     with pytest.raises(ParameterError, match=r"nowhere\.yaml"):
         read_settings(config)
 
 
 @pytest.mark.usefixtures("adopted", "only_fmus")
-def test_a_command_lets_the_fmus_run_that_it_names(exchange_fmu: Path, tmp_path: Path) -> None:
+def test_a_command_lets_the_fmus_run_that_it_names(
+    exchange_fmu: Path, tmp_path: Path
+) -> None:
     maps = write_map(tmp_path, exchange_fmu, "from the command")
     session = write_session(tmp_path / "minute", a_session(60))
     assert main(["replay", str(session), "--allow-fmu", str(maps)]) == 0
@@ -168,11 +193,15 @@ def test_a_session_is_verified_with_its_own_fmu_only(
     new_name = adopted(exchange_fmu, "the shop's").structure_name
     assert new_name != old_name
     assert old_name not in Peltier.structures
-    with pytest.raises(ForeignError, match=r"the one given, .* is another FMU or has another map"):
+    with pytest.raises(
+        ForeignError, match=r"the one given, .* is another FMU or has another map"
+    ):
         check_fmus("x", Peltier, (*native, old_name))
 
 
-def test_a_page_shows_an_fmu_that_it_does_not_have(adopted: Callable[..., Model], exchange_fmu: Path) -> None:
+def test_a_page_shows_an_fmu_that_it_does_not_have(
+    adopted: Callable[..., Model], exchange_fmu: Path
+) -> None:
     parameters = adopted(exchange_fmu).parameters(seebeck=0.06)
     tree = parameters_tree(parameters)
     Peltier.disown(parameters.model.structure_name)

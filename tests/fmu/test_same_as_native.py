@@ -29,7 +29,13 @@ from twinmatch.fmu import adopt_fmus
 from twinmatch.plants import Peltier
 from twinmatch.signals import KELVIN, Window
 
-KINDS = ("exchange_fmu", "switching_fmu", "third_fmu", "third_fmu co-simulation", "python_fmu")
+KINDS = (
+    "exchange_fmu",
+    "switching_fmu",
+    "third_fmu",
+    "third_fmu co-simulation",
+    "python_fmu",
+)
 TRUTH = {"seebeck": 0.06, "conductance": 0.7, "heat_capacity": 28.0}
 NATIVE = Peltier.model("held sink")
 
@@ -48,13 +54,17 @@ def a_window(samples: int = 150, seed: int = 3) -> Window:
 
 
 @pytest.fixture(scope="module")
-def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Model:
+def model(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Model:
     """Taken in once for all tests; it goes with the last of this file."""
     name, _, kind = request.param.partition(" ")
     fmu = request.getfixturevalue(name)
     folder = tmp_path_factory.mktemp("map")
     chosen = {"kind": kind} if kind else {}
-    return adopt_fmus(write_map(folder, fmu, f"the shop's {request.param}", **chosen))[0]
+    return adopt_fmus(write_map(folder, fmu, f"the shop's {request.param}", **chosen))[
+        0
+    ]
 
 
 @pytest.mark.parametrize("model", KINDS, indirect=True)
@@ -75,18 +85,29 @@ def test_differences_are_the_exact_tangents(model: Model) -> None:
     results = []
     for compared_model in (NATIVE, model):
         experiment = Experiment(
-            compared_model.parameters(**TRUTH), ("seebeck", "heat_capacity", "ambient"), window
+            compared_model.parameters(**TRUTH),
+            ("seebeck", "heat_capacity", "ambient"),
+            window,
         )
         values = experiment.values_of(compared_model.parameters(**TRUTH))
         results.append((experiment.tangents(values), *experiment.normal(values)))
     (exact, cost, gradient, hessian), (tangents, *normal) = results
-    for name, size in (("by", 1e-5), ("by_state", 1e-7), ("by_input", 1e-7), ("seen", 1e-9)):
+    for name, size in (
+        ("by", 1e-5),
+        ("by_state", 1e-7),
+        ("by_input", 1e-7),
+        ("seen", 1e-9),
+    ):
         expected = getattr(exact, name)
         by_differences = getattr(tangents, name)
         largest = np.abs(expected).max()
-        np.testing.assert_allclose(by_differences, expected, rtol=0, atol=size * largest, err_msg=name)
+        np.testing.assert_allclose(
+            by_differences, expected, rtol=0, atol=size * largest, err_msg=name
+        )
     assert normal[0] == pytest.approx(cost, rel=1e-7)  # native steps are good to that
-    np.testing.assert_allclose(normal[1], gradient, rtol=1e-4, atol=1e-4 * np.abs(gradient).max())
+    np.testing.assert_allclose(
+        normal[1], gradient, rtol=1e-4, atol=1e-4 * np.abs(gradient).max()
+    )
     np.testing.assert_allclose(normal[2], hessian, rtol=1e-4)
 
 
@@ -134,7 +155,9 @@ def test_a_forecast_and_its_variance_are_the_same(model: Model) -> None:
 def test_it_rests_and_moves_where_the_native_plant_does(model: Model) -> None:
     native = NATIVE.parameters(**TRUTH)
     foreign = model.parameters(**TRUTH)
-    assert rest_at(foreign, 50.0).input == pytest.approx(rest_at(native, 50.0).input, abs=1e-5)
+    assert rest_at(foreign, 50.0).input == pytest.approx(
+        rest_at(native, 50.0).input, abs=1e-5
+    )
     for name in ("A", "B", "C"):
         np.testing.assert_allclose(
             getattr(linearised(foreign, 50.0, 1.0), name),
@@ -151,7 +174,9 @@ def test_a_match_finds_the_same_parameters(model: Model) -> None:
     assert foreign.status is native.status
     assert foreign.free == native.free
     for name in native.free:
-        assert foreign.parameters[name] == pytest.approx(native.parameters[name], rel=1e-4)
+        assert foreign.parameters[name] == pytest.approx(
+            native.parameters[name], rel=1e-4
+        )
     np.testing.assert_allclose(foreign.covariance, native.covariance, rtol=1e-2)
 
 
@@ -167,7 +192,9 @@ def test_a_match_to_a_recorded_step_finds_the_same_parameters(
     foreign = match(window, start=model.parameters())
     assert foreign.status is native.status
     for name in native.free:
-        assert foreign.parameters[name] == pytest.approx(native.parameters[name], rel=1e-4)
+        assert foreign.parameters[name] == pytest.approx(
+            native.parameters[name], rel=1e-4
+        )
 
 
 @pytest.mark.parametrize("model", ["exchange_fmu"], indirect=True)
@@ -178,7 +205,9 @@ def test_a_structure_is_fitted_alike(model: Model) -> None:
         for compared_model in (NATIVE, model)
     )
     for name in NATIVE.structure.free:
-        assert foreign.parameters[name] == pytest.approx(native.parameters[name], rel=1e-4)
+        assert foreign.parameters[name] == pytest.approx(
+            native.parameters[name], rel=1e-4
+        )
     assert foreign.charge == pytest.approx(native.charge, rel=1e-4)
 
 
@@ -193,16 +222,25 @@ def test_a_structure_is_fitted_alike(model: Model) -> None:
 def test_any_plate_moves_as_its_equations_say(
     model: Model, seebeck: float, conductance: float, heat_capacity: float, begun: float
 ) -> None:
-    values = {"seebeck": seebeck, "conductance": conductance, "heat_capacity": heat_capacity}
+    values = {
+        "seebeck": seebeck,
+        "conductance": conductance,
+        "heat_capacity": heat_capacity,
+    }
     reference = np.repeat([begun, begun + 10.0], 15)
     native = NATIVE.parameters(**values)
     foreign = model.parameters(**values)
-    runs = [simulate_closed_loop(p, reference, states=begin(p, begun)) for p in (native, foreign)]
+    runs = [
+        simulate_closed_loop(p, reference, states=begin(p, begun))
+        for p in (native, foreign)
+    ]
     np.testing.assert_allclose(runs[1].output, runs[0].output, rtol=0, atol=1e-6)
     np.testing.assert_allclose(runs[1].input, runs[0].input, rtol=0, atol=1e-4)
 
 
-def test_units_are_converted_and_disturbances_given(python_fmu: Path, tmp_path: Path) -> None:
+def test_units_are_converted_and_disturbances_given(
+    python_fmu: Path, tmp_path: Path
+) -> None:
     """The plate as a structure of the incubator, whose room is the plate's sink."""
     entry = {
         "fmu": str(python_fmu),
@@ -230,16 +268,24 @@ def test_units_are_converted_and_disturbances_given(python_fmu: Path, tmp_path: 
     for u, d in zip(heater.tolist(), room.tolist(), strict=True):
         expected.append(plate_state[0] - KELVIN)
         sink = NATIVE.parameters(
-            seebeck=0.06, resistance=3.3, conductance=0.35, heat_capacity=15.0, ambient=d + KELVIN
+            seebeck=0.06,
+            resistance=3.3,
+            conductance=0.35,
+            heat_capacity=15.0,
+            ambient=d + KELVIN,
         )
         plate_state = advance(sink, plate_state, (u - 0.1) / 0.01, period)
     parameters = model.parameters()
     states = begin(parameters, 30.0, disturbances=np.array([20.0]))
-    run = simulate_driven(parameters, heater, states=states, period=period, disturbances=room[:, None])
+    run = simulate_driven(
+        parameters, heater, states=states, period=period, disturbances=room[:, None]
+    )
     np.testing.assert_allclose(run.output, expected, rtol=0, atol=1e-6)
 
 
-def test_one_without_free_parameters_is_scored_as_it_is(adopted, exchange_fmu: Path) -> None:
+def test_one_without_free_parameters_is_scored_as_it_is(
+    adopted, exchange_fmu: Path
+) -> None:
     links = {"temperature": "celsius", "pwm": "pwm", "plate": "plate"}
     model = adopted(exchange_fmu, variables=links, free=[], patience=1e300)
     experiment = Experiment(model.parameters(), (), a_window(40))

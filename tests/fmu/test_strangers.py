@@ -20,20 +20,34 @@ import pytest
 from tests.support.fmus import RATE, build_c_fmu, build_python_fmu, write_map
 from tests.support.waiting import wait_for
 from twinmatch.cli import main
-from twinmatch.dynamics import Model, PlantError, StructureLostError, begin, simulate_driven
+from twinmatch.dynamics import (
+    Model,
+    PlantError,
+    StructureLostError,
+    begin,
+    simulate_driven,
+)
 from twinmatch.fmu import adopt_fmus, archive, structure
 from twinmatch.fmu.archive import FmuError, Variable, _Names
 from twinmatch.plants import Peltier
 
 
 @pytest.fixture
-def run_of(adopted: Callable[..., Model], tmp_path: Path) -> Callable[[str], Callable[[], None]]:
+def run_of(
+    adopted: Callable[..., Model], tmp_path: Path
+) -> Callable[[str], Callable[[], None]]:
     """Something that runs an FMU with a flaw for eight minutes."""
 
     def runner(culprit: str, **changes: object) -> Callable[[], None]:
-        fmu = build_python_fmu(tmp_path, f"F{abs(hash(culprit))}", culprit=culprit, steps=2)
+        fmu = build_python_fmu(
+            tmp_path, f"F{abs(hash(culprit))}", culprit=culprit, steps=2
+        )
         parameters = adopted(fmu, culprit, **changes).parameters()
-        return lambda: str(simulate_driven(parameters, np.zeros(480), states=begin(parameters, 30.0)).output)
+        return lambda: str(
+            simulate_driven(
+                parameters, np.zeros(480), states=begin(parameters, 30.0)
+            ).output
+        )
 
     return runner
 
@@ -45,11 +59,15 @@ def test_one_that_takes_too_long_is_ended(run_of, culprit: str, capfd) -> None:
         run()
     with pytest.raises(StructureLostError):  # at once, and without a second line
         run()
-    assert capfd.readouterr().err.count("everything else continues without this structure") == 1
+    assert (
+        capfd.readouterr().err.count("everything else continues without this structure")
+        == 1
+    )
 
 
 @pytest.mark.parametrize(
-    ("culprit", "words"), [("crashes", "crashed .SIGSEGV."), ("ends", "exited with code 3")]
+    ("culprit", "words"),
+    [("crashes", "crashed .SIGSEGV."), ("ends", "exited with code 3")],
 )
 def test_one_that_crashes_is_given_up(run_of, culprit: str, words: str) -> None:
     with pytest.raises(StructureLostError, match=words):
@@ -67,13 +85,17 @@ def test_one_that_says_it_cannot_is_asked_again(run_of, culprit: str) -> None:
 def test_one_that_gives_no_numbers_is_not_believed(run_of, adopted, tmp_path) -> None:
     with pytest.raises(FmuError, match="no finite values"):
         run_of("says nothing")()
-    worse = build_python_fmu(tmp_path, "Worse", rate=RATE.replace("return -drawn", "return float('nan')"))
+    worse = build_python_fmu(
+        tmp_path, "Worse", rate=RATE.replace("return -drawn", "return float('nan')")
+    )
     with pytest.raises(FmuError, match="no finite values"):
         adopted(worse)
 
 
 def test_one_that_hangs_before_it_is_adopted_is_one_line(tmp_path: Path, capfd) -> None:
-    rate = RATE.replace("bridge = ", "import time; time.sleep(3600 * (self.pwm != 0.0)); bridge = ", 1)
+    rate = RATE.replace(
+        "bridge = ", "import time; time.sleep(3600 * (self.pwm != 0.0)); bridge = ", 1
+    )
     fmu = build_python_fmu(tmp_path, "Sleeper", rate=rate, steps=2)
     with pytest.raises(StructureLostError, match="no answer within 1 s and was killed"):
         adopt_fmus(write_map(tmp_path, fmu, patience=1.0))
@@ -84,10 +106,16 @@ def test_what_one_prints_is_not_an_answer(run_of) -> None:
     assert "nan" not in run_of("prints")()
 
 
-def test_one_that_remembers_more_than_its_map_says_is_refused(adopted, tmp_path: Path) -> None:
+def test_one_that_remembers_more_than_its_map_says_is_refused(
+    adopted, tmp_path: Path
+) -> None:
     after = "self.inner += 0.2 * (self.plate - 273.15 - self.inner)"
-    fmu = build_python_fmu(tmp_path, "Lagging", output="self.inner", after=after, steps=4)
-    with pytest.raises(FmuError, match="it has internal states that its map does not name"):
+    fmu = build_python_fmu(
+        tmp_path, "Lagging", output="self.inner", after=after, steps=4
+    )
+    with pytest.raises(
+        FmuError, match="it has internal states that its map does not name"
+    ):
         adopted(fmu)
 
 
@@ -98,30 +126,47 @@ WALLED = RATE.replace("(plate - self.ambient)", "(plate - self.ambient - self.in
 @pytest.mark.parametrize(
     ("rate", "after"),
     [
-        (SWITCHED, "self.inner = float(self.plate > 335 or (self.inner and self.plate > 325))"),
-        (WALLED, "self.inner += size / 2000 * (self.plate - self.ambient - self.inner)"),
+        (
+            SWITCHED,
+            "self.inner = float(self.plate > 335 or (self.inner and self.plate > 325))",
+        ),
+        (
+            WALLED,
+            "self.inner += size / 2000 * (self.plate - self.ambient - self.inner)",
+        ),
     ],
     ids=["a cut-out with hysteresis", "a wall of 2000 s"],
 )
-def test_a_memory_that_shows_late_is_found(adopted, tmp_path: Path, rate: str, after: str) -> None:
+def test_a_memory_that_shows_late_is_found(
+    adopted, tmp_path: Path, rate: str, after: str
+) -> None:
     fmu = build_python_fmu(tmp_path, "Mindful", rate=rate, after=after, steps=4)
-    with pytest.raises(FmuError, match="it has internal states that its map does not name"):
+    with pytest.raises(
+        FmuError, match="it has internal states that its map does not name"
+    ):
         adopted(fmu)
 
 
-def test_a_restart_forgets_what_ran_before(adopted, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_restart_forgets_what_ran_before(
+    adopted, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A cut-out that no state shows is refused; unrefused, equal states and drives give equal courses."""
     fmu = build_c_fmu(tmp_path, cut_out=True)
-    with pytest.raises(FmuError, match="it has internal states that its map does not name"):
+    with pytest.raises(
+        FmuError, match="it has internal states that its map does not name"
+    ):
         adopted(fmu)
     monkeypatch.setattr(structure, "check_restart", lambda _: None)
     parameters = adopted(fmu).parameters()
     drive = np.full(20, 120.0)
-    states = begin(parameters, 57.0)  # below where it switches off, above where it switches on again
+    # below where it switches off, above where it switches on again
+    states = begin(parameters, 57.0)
     first = simulate_driven(parameters, drive, states=states).output
     hot = simulate_driven(parameters, drive, states=begin(parameters, 70.0)).output
     assert hot[1] < hot[0]
-    np.testing.assert_array_equal(simulate_driven(parameters, drive, states=states).output, first)
+    np.testing.assert_array_equal(
+        simulate_driven(parameters, drive, states=states).output, first
+    )
 
 
 def test_what_is_discrete_is_refused_and_what_is_not_a_real_scalar_is_listed(
@@ -133,12 +178,21 @@ def test_what_is_discrete_is_refused_and_what_is_not_a_real_scalar_is_listed(
         '<Integer start="3"/></ScalarVariable>'
         '<ScalarVariable name="maker" valueReference="52" causality="output"><String/></ScalarVariable>'
     )
-    fmu = _described(exchange_fmu, tmp_path, ("</ModelVariables>", f"{declarations}</ModelVariables>"))
-    with pytest.raises(FmuError, match=r"its discrete variables \(off\) may remember earlier events"):
+    fmu = _described(
+        exchange_fmu,
+        tmp_path,
+        ("</ModelVariables>", f"{declarations}</ModelVariables>"),
+    )
+    with pytest.raises(
+        FmuError, match=r"its discrete variables \(off\) may remember earlier events"
+    ):
         adopted(fmu)
     assert main(["fmu", str(fmu)]) == 0
     printed = capsys.readouterr().out.replace("# ", "")
-    assert "not real and scalar, so not for a map:\n  off: Boolean, local, discrete\n" in printed
+    assert (
+        "not real and scalar, so not for a map:\n  off: Boolean, local, discrete\n"
+        in printed
+    )
     assert "  stages: Integer, parameter, fixed\n" in printed
     assert "  maker: String, output, discrete\n" in printed
     assert "It cannot be used: its discrete variables (off) " in printed
@@ -147,7 +201,11 @@ def test_what_is_discrete_is_refused_and_what_is_not_a_real_scalar_is_listed(
         '<Dimension start="3"/></Float64>'
     )
     (tmp_path / "third").mkdir()
-    fmu = _described(third_fmu, tmp_path / "third", ("</ModelVariables>", f"{declarations}</ModelVariables>"))
+    fmu = _described(
+        third_fmu,
+        tmp_path / "third",
+        ("</ModelVariables>", f"{declarations}</ModelVariables>"),
+    )
     assert main(["fmu", str(fmu)]) == 0
     assert "  profile: Float64[3], parameter, fixed\n" in capsys.readouterr().out
 
@@ -171,7 +229,9 @@ def test_its_process_sees_no_socket_and_no_secret_and_ends_with_the_structure(
 
 def _source() -> Any:
     """Of the only FMU that is taken in."""
-    return next(s.external for s in Peltier.structures.values() if s.external is not None)
+    return next(
+        s.external for s in Peltier.structures.values() if s.external is not None
+    )
 
 
 def _sleeping() -> bool:
@@ -204,11 +264,17 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 def test_its_process_and_folder_go_when_its_parent_is_killed() -> None:
     with subprocess.Popen(
-        [sys.executable, "-c", ORPHAN], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", ORPHAN],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     ) as parent:
         pid, folder = parent.stdout.readline().split()  # type: ignore[union-attr]
         parent.communicate("go\n")
-    wait_for(lambda: not (Path(f"/proc/{pid}").exists() or Path(folder).exists()), "their end")
+    wait_for(
+        lambda: not (Path(f"/proc/{pid}").exists() or Path(folder).exists()),
+        "their end",
+    )
 
 
 def test_one_for_another_machine_is_refused(exchange_fmu: Path, tmp_path: Path) -> None:
@@ -216,12 +282,18 @@ def test_one_for_another_machine_is_refused(exchange_fmu: Path, tmp_path: Path) 
         return name.replace("linux64", "win64").replace(".so", ".dll")
 
     fmu = _changed(exchange_fmu, tmp_path, rename=rename)
-    with pytest.raises(FmuError, match="has binaries for win64; this machine is linux64"):
+    with pytest.raises(
+        FmuError, match="has binaries for win64; this machine is linux64"
+    ):
         adopt_fmus(write_map(tmp_path, fmu))
 
 
-@pytest.mark.parametrize("name", ["../../escaped", "/tmp/escaped", "..\\escaped", "c:escaped"])
-def test_what_leads_out_of_the_archive_is_not_unpacked(exchange_fmu: Path, tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    "name", ["../../escaped", "/tmp/escaped", "..\\escaped", "c:escaped"]
+)
+def test_what_leads_out_of_the_archive_is_not_unpacked(
+    exchange_fmu: Path, tmp_path: Path, name: str
+) -> None:
     fmu = _changed(exchange_fmu, tmp_path, replaced={name: b"x"})
     with pytest.raises(FmuError, match="a path outside its folder; it is not unpacked"):
         adopt_fmus(write_map(tmp_path, fmu))
@@ -257,7 +329,11 @@ def test_no_more_is_unpacked_than_the_archive_states(tmp_path: Path) -> None:
             opened.filelist[0].file_size = 10
             opened.filelist[0].CRC = zlib.crc32(content[:length])
         words = "is not an FMU, or is damaged: Bad CRC-32 for file 'zeros'"
-        with pytest.raises(FmuError, match=words) if refused else contextlib.nullcontext():
+        with (
+            pytest.raises(FmuError, match=words)
+            if refused
+            else contextlib.nullcontext()
+        ):
             archive.unpack(fmu, tmp_path / named)
         assert (tmp_path / named / "zeros").stat().st_size <= 10
 
@@ -265,7 +341,10 @@ def test_no_more_is_unpacked_than_the_archive_states(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("xml", "words"),
     [
-        (b"<fmiModelDescription", "modelDescription|XML|Couldn't find end|not well-formed"),
+        (
+            b"<fmiModelDescription",
+            "modelDescription|XML|Couldn't find end|not well-formed",
+        ),
         (b"", "modelDescription|XML|Document is empty"),
         (b'<fmiModelDescription fmiVersion="1.0" modelName="x" guid="y"/>', "."),
         (b"\x00\xff\x00", "."),
@@ -295,10 +374,15 @@ def test_a_broken_description_is_one_line(
         ({"patience": "long"}, "patience: is 'long'; give a number"),
         ({"surprise": 1}, "surprise: is not a known key"),
         ({"variables": {"temperature": "celsius"}}, "variables has no entry for pwm"),
-        ({"parameters": {"k": {"default": 1, "bounds": [2, 1]}}}, "two finite numbers, the smaller first"),
+        (
+            {"parameters": {"k": {"default": 1, "bounds": [2, 1]}}},
+            "two finite numbers, the smaller first",
+        ),
     ],
 )
-def test_a_wrong_map_is_reported(exchange_fmu: Path, tmp_path: Path, changes, words: str) -> None:
+def test_a_wrong_map_is_reported(
+    exchange_fmu: Path, tmp_path: Path, changes, words: str
+) -> None:
     with pytest.raises(FmuError, match=words):
         adopt_fmus(write_map(tmp_path, exchange_fmu, **changes))
 
@@ -306,8 +390,14 @@ def test_a_wrong_map_is_reported(exchange_fmu: Path, tmp_path: Path, changes, wo
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"plate": "plates"}, "has no real variable 'plates'; `twinmatch fmu` lists those it has"),
-        ({"plate": "celsius"}, "its continuous states are plate; the map does not name 'plate'"),
+        (
+            {"plate": "plates"},
+            "has no real variable 'plates'; `twinmatch fmu` lists those it has",
+        ),
+        (
+            {"plate": "celsius"},
+            "its continuous states are plate; the map does not name 'plate'",
+        ),
         ({"pwm": "celsius"}, r"'celsius' is not an input .*; its inputs are pwm"),
     ],
 )
@@ -322,10 +412,22 @@ def test_a_variable_that_does_not_fit_is_reported(
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (('Identifier="plate"', 'Identifier="../../../../tmp/plate"'), "FMI demands a name of C"),
-        (('<Unknown index="4"', '<Unknown index="99"'), "its modelDescription.xml does not follow FMI 2.0"),
-        (('fmiVersion="2.0"', 'fmiVersion="1.0"'), "it is of FMI 1.0; FMI 2 and 3 are supported"),
-        (('fmiVersion="2.0"', ""), "it is of FMI without version; FMI 2 and 3 are supported"),
+        (
+            ('Identifier="plate"', 'Identifier="../../../../tmp/plate"'),
+            "FMI demands a name of C",
+        ),
+        (
+            ('<Unknown index="4"', '<Unknown index="99"'),
+            "its modelDescription.xml does not follow FMI 2.0",
+        ),
+        (
+            ('fmiVersion="2.0"', 'fmiVersion="1.0"'),
+            "it is of FMI 1.0; FMI 2 and 3 are supported",
+        ),
+        (
+            ('fmiVersion="2.0"', ""),
+            "it is of FMI without version; FMI 2 and 3 are supported",
+        ),
         (("held-sink", "another"), "it cannot be instantiated"),
     ],
 )
@@ -336,15 +438,29 @@ def test_a_description_that_is_wrong_is_reported(
         adopted(_described(exchange_fmu, tmp_path, change))
 
 
-def test_an_invalid_or_missing_library_is_reported(exchange_fmu: Path, tmp_path: Path, adopted) -> None:
+def test_an_invalid_or_missing_library_is_reported(
+    exchange_fmu: Path, tmp_path: Path, adopted
+) -> None:
     path = "binaries/linux64/plate.so"
-    with pytest.raises(FmuError, match=f"its {path} is not a library for this machine: file too short"):
+    with pytest.raises(
+        FmuError, match=f"its {path} is not a library for this machine: file too short"
+    ):
         adopted(_changed(exchange_fmu, tmp_path, replaced={path: b"MZ"}))
-    with pytest.raises(FmuError, match=f"it has no {path}, the program for this machine"):
-        adopted(_changed(exchange_fmu, tmp_path, rename=lambda name: name.replace("plate.so", "pl.so")))
+    with pytest.raises(
+        FmuError, match=f"it has no {path}, the program for this machine"
+    ):
+        adopted(
+            _changed(
+                exchange_fmu,
+                tmp_path,
+                rename=lambda name: name.replace("plate.so", "pl.so"),
+            )
+        )
 
 
-def test_a_damaged_archive_and_a_pipe_are_refused(exchange_fmu: Path, tmp_path: Path) -> None:
+def test_a_damaged_archive_and_a_pipe_are_refused(
+    exchange_fmu: Path, tmp_path: Path
+) -> None:
     content = bytearray(exchange_fmu.read_bytes())
     content[100:200] = bytes(range(100))
     (tmp_path / "damaged.fmu").write_bytes(content)
@@ -355,7 +471,9 @@ def test_a_damaged_archive_and_a_pipe_are_refused(exchange_fmu: Path, tmp_path: 
         adopt_fmus(write_map(tmp_path, tmp_path / "pipe.fmu"))
 
 
-def test_a_file_that_changed_is_not_run(exchange_fmu: Path, tmp_path: Path, adopted) -> None:
+def test_a_file_that_changed_is_not_run(
+    exchange_fmu: Path, tmp_path: Path, adopted
+) -> None:
     fmu = _changed(exchange_fmu, tmp_path)
     model = adopted(fmu)
     source = model.structure.external
@@ -371,15 +489,23 @@ def _described(fmu: Path, folder: Path, change: tuple[str, str]) -> Path:
     with zipfile.ZipFile(fmu) as opened:
         xml = opened.read("modelDescription.xml").decode()
     assert change[0] in xml
-    return _changed(fmu, folder, replaced={"modelDescription.xml": xml.replace(*change).encode()})
+    return _changed(
+        fmu, folder, replaced={"modelDescription.xml": xml.replace(*change).encode()}
+    )
 
 
 def _changed(
-    fmu: Path, folder: Path, rename=lambda name: name, replaced: dict[str, bytes] | None = None
+    fmu: Path,
+    folder: Path,
+    rename=lambda name: name,
+    replaced: dict[str, bytes] | None = None,
 ) -> Path:
     """The FMU with other names or other files in it."""
     changed = folder / f"changed_{fmu.name}"
-    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(changed, "w", zipfile.ZIP_DEFLATED) as new:
+    with (
+        zipfile.ZipFile(fmu) as old,
+        zipfile.ZipFile(changed, "w", zipfile.ZIP_DEFLATED) as new,
+    ):
         for name in old.namelist():
             if name not in (replaced or {}):
                 new.writestr(rename(name), old.read(name))
@@ -388,7 +514,9 @@ def _changed(
     return changed
 
 
-def test_a_large_description_is_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_large_description_is_listed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """With more than 16 MiB of names and remarks, as tools write them for large models."""
     remark = "x" * 4000
     scalars = "".join(
@@ -413,7 +541,9 @@ def test_of_variables_with_like_names_the_first_is_proposed() -> None:
     def variable(name: str) -> Variable:
         return Variable(name, 0, "parameter", "fixed", "exact", "", 1.0, "", -1)
 
-    names = _Names([variable("other"), variable("cooler.See_beck"), variable("seebeck")])
+    names = _Names(
+        [variable("other"), variable("cooler.See_beck"), variable("seebeck")]
+    )
     liked = names.like(Peltier.parameters["seebeck"])
     assert liked is not None
     assert liked.name == "cooler.See_beck"

@@ -49,7 +49,9 @@ def driven() -> Outlook:
     return forecaster.outlook()
 
 
-def test_a_known_loop_is_there_when_the_plant_is_and_not_before(closed: Outlook) -> None:
+def test_a_known_loop_is_there_when_the_plant_is_and_not_before(
+    closed: Outlook,
+) -> None:
     """To 62 °C within 300 s: with the latest set-point the plant comes in time, 10 s later it does not."""
     answer = arrival(closed, ArrivalQuestion(62.0, by=300.0, tolerance=0.5))
     assert answer.held.expected is None
@@ -67,7 +69,9 @@ def test_a_known_loop_is_there_when_the_plant_is_and_not_before(closed: Outlook)
         assert (run(np.concatenate([PAST, ahead]))[-1] >= 61.5) == is_there
 
 
-def test_an_unknown_loop_is_asked_with_the_input_held_and_with_the_drive_at_its_end(driven: Outlook) -> None:
+def test_an_unknown_loop_is_asked_with_the_input_held_and_with_the_drive_at_its_end(
+    driven: Outlook,
+) -> None:
     """2 m are never 8 m under 1 V; under 10 V, 20 m are far, so it takes lag · ln(18 / 12.1)."""
     answer = arrival(driven, ArrivalQuestion(8.0, by=120.0, tolerance=0.1))
     assert answer.standing == 1.0
@@ -95,7 +99,9 @@ def test_what_cannot_be_reached_in_time_says_so(driven: Outlook) -> None:
 
 def test_an_output_that_only_passes_the_level_is_not_there(closed: Outlook) -> None:
     """From 50 °C, with 45 °C asked for and a set-point of 35 °C that passes it on its way."""
-    falling = dataclasses.replace(closed, sample=dataclasses.replace(closed.sample, references=(35.0,)))
+    falling = dataclasses.replace(
+        closed, sample=dataclasses.replace(closed.sample, references=(35.0,))
+    )
     answer = arrival(falling, ArrivalQuestion(45.0, by=600.0))
     assert answer.held.expected is not None
     assert answer.held.expected < 60.0
@@ -106,7 +112,9 @@ def test_an_output_that_only_passes_the_level_is_not_there(closed: Outlook) -> N
 
 @pytest.mark.parametrize("by", [0.0, -5.0, 1e9, float("nan")])
 def test_a_time_that_is_not_ahead_is_refused(driven: Outlook, by: float) -> None:
-    with pytest.raises(ForecastError, match=r"the time is .* ahead; give one of 1 to 3600 s"):
+    with pytest.raises(
+        ForecastError, match=r"the time is .* ahead; give one of 1 to 3600 s"
+    ):
         arrival(driven, ArrivalQuestion(8.0, by=by))
 
 

@@ -12,7 +12,14 @@ from scipy.stats import laplace, norm
 
 from tests.support.plants import Tank
 from twinmatch.dynamics import Controller, PidGains
-from twinmatch.forecasting import CONFIDENCE, Arx, Calibration, Ledger, StateFilter, leads_of
+from twinmatch.forecasting import (
+    CONFIDENCE,
+    Arx,
+    Calibration,
+    Ledger,
+    StateFilter,
+    leads_of,
+)
 from twinmatch.signals import FloatArray, Sample
 
 NOISE = np.array([0.1, 7.0])
@@ -21,7 +28,10 @@ ARX = "a small model"
 
 
 def entered(
-    errors: dict[str, FloatArray], forgetting: float = 1.0, noise: FloatArray = NOISE, horizons: int = 1
+    errors: dict[str, FloatArray],
+    forgetting: float = 1.0,
+    noise: FloatArray = NOISE,
+    horizons: int = 1,
 ) -> Ledger:
     """A ledger after one forecast for each column, shape (2, n) by name; the baselines may be the same."""
     ledger = Ledger(np.ones(horizons), noise, forgetting)
@@ -30,12 +40,19 @@ def entered(
     baselines = np.array([errors[PERSISTENCE], errors.get(ARX, errors[PERSISTENCE])])
     for column in range(came.shape[2]):
         for horizon in range(horizons):
-            ledger.add(names, came[..., column : column + 1], baselines[..., column : column + 1], horizon)
+            ledger.add(
+                names,
+                came[..., column : column + 1],
+                baselines[..., column : column + 1],
+                horizon,
+            )
     return ledger
 
 
 def drawn(scale: float, samples: int, seed: int) -> FloatArray:
-    return np.random.default_rng(seed).laplace(0.0, scale * NOISE[:, None], (2, samples))
+    return np.random.default_rng(seed).laplace(
+        0.0, scale * NOISE[:, None], (2, samples)
+    )
 
 
 def test_the_price_is_minus_the_logarithm_of_the_density() -> None:
@@ -52,12 +69,20 @@ def test_the_price_is_minus_the_logarithm_of_the_density() -> None:
     )
     # Widths are learned on the way: that costs some half log10(n) characters in all.
     assert gain == pytest.approx(priced, abs=5 * np.log10(n) / n + 0.01)
-    assert gain == pytest.approx(2 * np.log10(8.0), abs=0.06)  # standard error of the mean price 0.019
+    # standard error of the mean price 0.019
+    assert gain == pytest.approx(2 * np.log10(8.0), abs=0.06)
 
 
 def test_who_forecasts_better_saves_more_and_persistence_saves_nothing() -> None:
     poor = drawn(4.0, 200, 1)
-    ledger = entered({PERSISTENCE: poor, "a": drawn(0.5, 200, 2), "b": drawn(0.6, 200, 3), "same": poor})
+    ledger = entered(
+        {
+            PERSISTENCE: poor,
+            "a": drawn(0.5, 200, 2),
+            "b": drawn(0.6, 200, 3),
+            "same": poor,
+        }
+    )
     a, b, as_persistence = ledger.gains(["a", "b", "same"])[:, 0]
     assert a > b > as_persistence
     only = entered({PERSISTENCE: poor, "same": poor}).gains(["same"])
@@ -68,7 +93,10 @@ def test_a_boast_does_not_pay() -> None:
     """The width follows from earlier errors, so a single large error after many small ones costs dearly."""
     steady = drawn(1.0, 100, 1)
     calm = np.append(drawn(0.31, 99, 1), 40.0 * NOISE[:, None], axis=1)
-    ledger = entered({PERSISTENCE: drawn(5.0, 100, 2), "steady": steady, "calm": calm}, forgetting=0.9)
+    ledger = entered(
+        {PERSISTENCE: drawn(5.0, 100, 2), "steady": steady, "calm": calm},
+        forgetting=0.9,
+    )
     steady_gain, calm_gain = ledger.gains(["steady", "calm"])[:, 0]
     assert steady_gain > calm_gain
 
@@ -80,7 +108,9 @@ def test_units_do_not_matter(unit: float) -> None:
     scaled = {name: unit * e for name, e in errors.items()}
     ledger = entered(errors)
     scaled_ledger = entered(scaled, noise=unit * NOISE)
-    assert scaled_ledger.gains(["a"])[0, 0] == pytest.approx(ledger.gains(["a"])[0, 0], abs=1e-9)
+    assert scaled_ledger.gains(["a"])[0, 0] == pytest.approx(
+        ledger.gains(["a"])[0, 0], abs=1e-9
+    )
 
 
 def test_the_past_is_forgotten() -> None:
@@ -89,14 +119,18 @@ def test_the_past_is_forgotten() -> None:
     turned = np.concatenate([late, early], axis=1)
     fallen = np.concatenate([early, late], axis=1)
     persistence = drawn(8.0, 200, 3)
-    ledger = entered({PERSISTENCE: persistence, "fallen": fallen, "turned": turned}, forgetting=0.97)
+    ledger = entered(
+        {PERSISTENCE: persistence, "fallen": fallen, "turned": turned}, forgetting=0.97
+    )
     fallen_gain, turned_gain = ledger.gains(["fallen", "turned"])[:, 0]
     assert turned_gain > fallen_gain
     assert ledger.forecasts("turned") == pytest.approx(1 / 0.03, rel=0.01)
 
 
 def test_a_newcomer_has_saved_nothing_yet_and_an_heir_continues() -> None:
-    ledger = entered({PERSISTENCE: drawn(5.0, 60, 1), "a": drawn(0.5, 60, 2), "b": drawn(1.0, 60, 3)})
+    ledger = entered(
+        {PERSISTENCE: drawn(5.0, 60, 1), "a": drawn(0.5, 60, 2), "b": drawn(1.0, 60, 3)}
+    )
     ledger.inherit("heir", "a")
     ledger.inherit("nobody's", "gone")
     a, b, new, heir = ledger.gains(["a", "b", "new", "heir"])[:, 0]
@@ -145,12 +179,16 @@ def test_skill_is_given_after_some_forecasts_only_and_is_inherited() -> None:
 def moving(rng: np.random.Generator, samples: int, overlap: int) -> FloatArray:
     """Errors of forecasts of which each covers most of what the one before did; of unit size."""
     steps = rng.normal(0.0, 1.0, (2, samples + overlap - 1))
-    errors = np.apply_along_axis(np.convolve, 1, steps, np.full(overlap, overlap**-0.5), "valid")
+    errors = np.apply_along_axis(
+        np.convolve, 1, steps, np.full(overlap, overlap**-0.5), "valid"
+    )
     return np.asarray(10.0 * NOISE[:, None] * errors)
 
 
 @pytest.mark.parametrize("overlap", [1, 10])
-def test_of_two_that_are_equally_good_none_is_better_but_by_chance(overlap: int) -> None:
+def test_of_two_that_are_equally_good_none_is_better_but_by_chance(
+    overlap: int,
+) -> None:
     """The promise is one in twenty. The one with twice the error is found out."""
     rng = np.random.default_rng(7)
     alarms = 0
@@ -162,7 +200,9 @@ def test_of_two_that_are_equally_good_none_is_better_but_by_chance(overlap: int)
         ledger = Ledger(np.array([1.0 / overlap]), NOISE, 0.98)
         for k in range(150):
             errors = np.array([candidate, 2.0 * rival])[..., k : k + 1]
-            ledger.add(["equal", "worse"], errors, np.array([baseline] * 2)[..., k : k + 1], 0)
+            ledger.add(
+                ["equal", "worse"], errors, np.array([baseline] * 2)[..., k : k + 1], 0
+            )
         alarms += ledger.skills("equal")[1][0, 0] < 0.0
         worse_found += ledger.skills("worse")[1][0, 0] < 0.0
     assert alarms <= 0.06 * runs
@@ -192,7 +232,9 @@ def learned(
 def test_it_begins_as_a_normal_distribution_would_have_it() -> None:
     """Of twelve points of |z| the greatest is taken, ⌈0.9·13⌉ being twelve: its level is 12/13."""
     expected = norm.ppf(0.5 + 0.5 * 12 / 13)
-    assert Calibration((1, 10), 1.0, 1.0).widths == pytest.approx(np.full((2, 2), expected), rel=1e-12)
+    assert Calibration((1, 10), 1.0, 1.0).widths == pytest.approx(
+        np.full((2, 2), expected), rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("kind", ["normal", "laplace", "narrow", "wide"])
@@ -248,12 +290,16 @@ def test_a_long_lead_begins_with_what_the_shorter_one_has_shown() -> None:
         calibration.add([0], np.array([[3.0]]))
     # The mean of 997 quotients of 3, and of three as expected, in units of the mean of |z|.
     scale = (997 * 3.0 / norm.expect(abs) + 3.0) / 1000
-    assert calibration.widths[0, 1] == pytest.approx(norm.ppf(0.5 + 0.5 * 12 / 13) * scale, rel=1e-9)
+    assert calibration.widths[0, 1] == pytest.approx(
+        norm.ppf(0.5 + 0.5 * 12 / 13) * scale, rel=1e-9
+    )
 
 
 @settings(deadline=None, max_examples=40)
 @given(st.lists(st.floats(0.0, 100.0), max_size=120), st.sampled_from([1, 2, 20]))
-def test_it_is_the_empirical_quantile_in_units_of_a_mean(values: list[float], lead: int) -> None:
+def test_it_is_the_empirical_quantile_in_units_of_a_mean(
+    values: list[float], lead: int
+) -> None:
     """With equal weights, by independent formulas. The scale is the mean of the past quotients and of three
     forecasts as expected, where of forecasts that reach over `lead` of their intervals each counts a
     `lead`-th; the quantile leaves room for the next, which overlaps: rank ⌈0.9·(n + √`lead`)⌉ (with 1 for the
@@ -263,8 +309,13 @@ def test_it_is_the_empirical_quantile_in_units_of_a_mean(values: list[float], le
     for n, value in enumerate([*values, 0.0]):
         weights = np.array([3.0, *[1.0 / lead] * n])
         scale = np.average([MEAN, *values[:n]], weights=weights) / MEAN
-        rank = min(int(np.ceil(CONFIDENCE * (len(scaled) + math.sqrt(lead)) - 1e-9)), len(scaled))
-        assert calibration.widths[0, 0] == pytest.approx(np.sort(scaled)[rank - 1] * scale, rel=1e-9)
+        rank = min(
+            int(np.ceil(CONFIDENCE * (len(scaled) + math.sqrt(lead)) - 1e-9)),
+            len(scaled),
+        )
+        assert calibration.widths[0, 0] == pytest.approx(
+            np.sort(scaled)[rank - 1] * scale, rel=1e-9
+        )
         calibration.add([0], np.array([[value]]))
         scaled.append(value / scale)
 
@@ -275,7 +326,9 @@ def test_a_twin_that_misjudges_its_errors_soon_holds(size: float) -> None:
 
     The share is known to 0.3 %; a prior that still counts costs up to 8 % (without a scale 10 %).
     """
-    widths, inside = learned(np.abs(size * np.random.default_rng(4).normal(size=(60, 300))))
+    widths, inside = learned(
+        np.abs(size * np.random.default_rng(4).normal(size=(60, 300)))
+    )
     assert 0.88 < inside[20:].mean() < 0.985
     assert np.median(widths[-1]) / size == pytest.approx(norm.ppf(0.95), rel=0.3)
 
@@ -304,10 +357,20 @@ GAINS = PidGains(2.0, 0.4, 0.1, 1.0, -5.0, 5.0)
 
 
 def plant(y: float, y_before: float, u: float, u_before: float, room: float) -> float:
-    return y + 0.3 - 0.1 * y + 0.4 * (y - y_before) + 0.2 * u + 0.05 * u_before + 0.02 * room
+    return (
+        y
+        + 0.3
+        - 0.1 * y
+        + 0.4 * (y - y_before)
+        + 0.2 * u
+        + 0.05 * u_before
+        + 0.02 * room
+    )
 
 
-def record(n: int, gains: PidGains | None, seed: int = 1) -> tuple[list[Sample], list[np.ndarray]]:
+def record(
+    n: int, gains: PidGains | None, seed: int = 1
+) -> tuple[list[Sample], list[np.ndarray]]:
     """An exact run of `plant`: of the loop if there are gains, otherwise under random inputs."""
     random = np.random.default_rng(seed)
     y = y_before = u_before = 0.0
@@ -316,7 +379,9 @@ def record(n: int, gains: PidGains | None, seed: int = 1) -> tuple[list[Sample],
     states = []
     for k in range(n):
         room = 20.0 + random.uniform()
-        reference = float(random.integers(0, 8)) if k % 25 == 0 else samples[-1].reference
+        reference = (
+            float(random.integers(0, 8)) if k % 25 == 0 else samples[-1].reference
+        )
         u = float(pid.step(reference, y)[0]) if gains else random.uniform(-1.0, 1.0)
         samples.append(Sample(k, 0, reference, y, u, (room,)))
         states.append(pid.state)
@@ -351,23 +416,39 @@ def future(
 def test_a_plant_of_its_form_is_forecast_exactly(gains: PidGains | None) -> None:
     samples, states = record(300, gains)
     given_ahead, rows, came = future(samples, 199, gains)
-    forecast = fed(samples[:200], gains).departure(states[199]).forecast(given_ahead, rows)
+    forecast = (
+        fed(samples[:200], gains).departure(states[199]).forecast(given_ahead, rows)
+    )
     np.testing.assert_allclose(forecast, came, atol=1e-6)
 
 
 def test_a_plant_of_its_form_with_several_signals_is_forecast_exactly() -> None:
     """Three outputs that act on one another, two inputs and a disturbance."""
     random = np.random.default_rng(2)
-    by_y, by_step, by_u = (random.uniform(-0.1, 0.1, shape) for shape in ((3, 3), (3, 3), (3, 2)))
+    by_y, by_step, by_u = (
+        random.uniform(-0.1, 0.1, shape) for shape in ((3, 3), (3, 3), (3, 2))
+    )
     u = random.uniform(-1.0, 1.0, (300, 2))
     room = random.uniform(size=300)
     y = np.zeros((300, 3))
     for k in range(1, 299):
-        rate = by_y @ y[k] + by_step @ (y[k] - y[k - 1]) + by_u @ (u[k] + 0.5 * u[k - 1]) + 0.1 * room[k]
+        rate = (
+            by_y @ y[k]
+            + by_step @ (y[k] - y[k - 1])
+            + by_u @ (u[k] + 0.5 * u[k - 1])
+            + 0.1 * room[k]
+        )
         y[k + 1] = 0.9 * y[k] + rate
     rows = zip(y.tolist(), u.tolist(), room.tolist(), strict=True)
-    samples = [Sample(k, 0, (0.0,) * 3, tuple(y), tuple(u), (d,)) for k, (y, u, d) in enumerate(rows)]
-    forecast = fed(samples[:200], None).departure(np.zeros(0)).forecast(u[200:], room[199:, None])
+    samples = [
+        Sample(k, 0, (0.0,) * 3, tuple(y), tuple(u), (d,))
+        for k, (y, u, d) in enumerate(rows)
+    ]
+    forecast = (
+        fed(samples[:200], None)
+        .departure(np.zeros(0))
+        .forecast(u[200:], room[199:, None])
+    )
     np.testing.assert_allclose(forecast, np.hstack([y[200:], u[200:]]).T, atol=1e-9)
 
 
@@ -392,13 +473,19 @@ def test_who_asks_in_between_changes_no_bit(asked: set[int], gap: bool) -> None:
 
 def test_until_there_are_enough_samples_nothing_changes() -> None:
     samples, states = record(12, GAINS)
-    forecast = fed(samples, GAINS).departure(states[11]).forecast(np.ones(4), np.ones((5, 1)))
-    np.testing.assert_array_equal(forecast, np.repeat([[samples[-1].output], [samples[-1].input]], 4, axis=1))
+    forecast = (
+        fed(samples, GAINS).departure(states[11]).forecast(np.ones(4), np.ones((5, 1)))
+    )
+    np.testing.assert_array_equal(
+        forecast, np.repeat([[samples[-1].output], [samples[-1].input]], 4, axis=1)
+    )
 
 
 def test_it_does_not_leave_what_was_visited_by_more_than_its_width() -> None:
     """A plant that runs away while it is watched."""
-    samples = [Sample(k, 0, 0.0, float(np.exp(0.05 * k)), 0.1 * (k % 3)) for k in range(80)]
+    samples = [
+        Sample(k, 0, 0.0, float(np.exp(0.05 * k)), 0.1 * (k % 3)) for k in range(80)
+    ]
     forecast = fed(samples, None).departure(np.zeros(0)).forecast(np.zeros(400), None)
     low = samples[0].output
     high = samples[-1].output
@@ -411,7 +498,9 @@ def test_lost_samples_and_gaps_teach_nothing_wrong(lost: set[int], seed: int) ->
     """Values of stand-ins are nonsense here; whatever is learned comes from the others."""
     samples, states = record(400, GAINS, seed)
     with_gap = [
-        Sample(s.index, 0, s.reference, 1e3, -1e3, s.disturbances, seen=False) if k in lost and k % 2 else s
+        Sample(s.index, 0, s.reference, 1e3, -1e3, s.disturbances, seen=False)
+        if k in lost and k % 2
+        else s
         for k, s in enumerate(samples[:250])
         if k not in lost or k % 2
     ]
@@ -429,12 +518,15 @@ def test_older_samples_weigh_less() -> None:
     for k, s in enumerate(samples):
         factor = 2.0 if k >= 200 else 1.0
         doubled.append(Sample(k, 0, 0.0, y, s.input, s.disturbances))
-        y_next = plant(y, y_before, factor * s.input, factor * u_before, s.disturbances[0])
+        y_next = plant(
+            y, y_before, factor * s.input, factor * u_before, s.disturbances[0]
+        )
         y_before = y
         u_before = s.input
         y = y_next
     slopes = [
-        fed(doubled, None, forgetting).departure(np.zeros(0)).coefficients[0, 2] for forgetting in (1.0, 0.97)
+        fed(doubled, None, forgetting).departure(np.zeros(0)).coefficients[0, 2]
+        for forgetting in (1.0, 0.97)
     ]
     assert slopes[1] == pytest.approx(0.4, abs=0.01)
     assert slopes[0] < 0.38

@@ -64,10 +64,14 @@ def outlook() -> Outlook:
 
 def test_the_answer_is_what_the_plant_then_does(outlook: Outlook) -> None:
     """To 62 °C in a ramp of 40 s, and 70 s later back: output, control, arrival and largest control."""
-    question = Question((40.0, 110.0, 110.5), (62.0, 62.0, 50.0), ramps=True, level=62.0, tolerance=0.5)
+    question = Question(
+        (40.0, 110.0, 110.5), (62.0, 62.0, 50.0), ramps=True, level=62.0, tolerance=0.5
+    )
     ahead = np.arange(1.0, SECONDS + 1)
     reference = np.interp(ahead, [0.0, 40.0, 110.0, 110.5], [50.0, 62.0, 62.0, 50.0])
-    came = run(np.concatenate([PAST, reference])).part(PAST.size, PAST.size + SECONDS - 1)
+    came = run(np.concatenate([PAST, reference])).part(
+        PAST.size, PAST.size + SECONDS - 1
+    )
     answer = what_if(outlook, question)
     assert answer.forecast.sample == PAST.size - 1
     np.testing.assert_allclose(answer.forecast.reference, reference, atol=1e-12)
@@ -80,7 +84,9 @@ def test_the_answer_is_what_the_plant_then_does(outlook: Outlook) -> None:
     assert answer.largest.expected == pytest.approx(np.abs(came.input).max(), abs=1.0)
 
 
-def test_an_empty_question_asks_what_comes_if_nothing_is_changed(outlook: Outlook) -> None:
+def test_an_empty_question_asks_what_comes_if_nothing_is_changed(
+    outlook: Outlook,
+) -> None:
     answer = what_if(outlook, Question())
     assert set(answer.forecast.reference) == {50.0}
     assert answer.forecast.time[-1] == SECONDS
@@ -90,7 +96,9 @@ def test_an_empty_question_asks_what_comes_if_nothing_is_changed(outlook: Outloo
     np.testing.assert_array_equal(answer.forecast.input.high, expected.input.high)
 
 
-def test_a_session_that_went_beyond_the_limits_can_be_asked_how_it_continues(outlook: Outlook) -> None:
+def test_a_session_that_went_beyond_the_limits_can_be_asked_how_it_continues(
+    outlook: Outlook,
+) -> None:
     """Only what is asked for is checked, not the set-point that stands."""
     beyond = replace(outlook, sample=replace(outlook.sample, references=150.0))
     assert set(what_if(beyond, Question()).forecast.reference) == {150.0}
@@ -105,19 +113,25 @@ def test_answers_are_in_order(
 ) -> None:
     """Earliest before expected before latest, reached before held, least below expected below most."""
     times = tuple(30.0 * k for k in range(1, len(levels) + 1))
-    answer = what_if(outlook, Question(times, tuple(levels), ramps, float(horizon), tolerance=tolerance))
+    answer = what_if(
+        outlook,
+        Question(times, tuple(levels), ramps, float(horizon), tolerance=tolerance),
+    )
     assert answer.forecast.time.size == horizon
     assert answer.level == levels[-1]
     for moment in (answer.reached, answer.settled):
         given_times = [
-            math.inf if t is None else t for t in (moment.earliest, moment.expected, moment.latest)
+            math.inf if t is None else t
+            for t in (moment.earliest, moment.expected, moment.latest)
         ]
         assert given_times == sorted(given_times)
     if answer.settled.expected is not None:
         assert answer.reached.expected is not None
         assert answer.reached.expected <= answer.settled.expected
     assert answer.largest.least <= answer.largest.expected <= answer.largest.most
-    assert any("further than 300 s" in note for note in answer.forecast.notes) == (horizon > 300)
+    assert any("further than 300 s" in note for note in answer.forecast.notes) == (
+        horizon > 300
+    )
 
 
 @pytest.mark.parametrize(
@@ -144,29 +158,38 @@ def test_a_snapshot_does_not_change_when_the_forecaster_continues() -> None:
     running = forecaster()
     snapshot = running.snapshot()
     before = what_if(snapshot.outlook(), Question((0.0,), (70.0,))).forecast
-    for sample in samples_of(run(np.concatenate([PAST, np.repeat(80.0, 400)])))[PAST.size :]:
+    for sample in samples_of(run(np.concatenate([PAST, np.repeat(80.0, 400)])))[
+        PAST.size :
+    ]:
         running.push(sample)
     running.enter([Candidate("other", 50.0, Peltier.model().parameters(), None)])
     after = what_if(snapshot.outlook("rig"), Question((0.0,), (70.0,))).forecast
     for band in ("output", "input"):
         for edge in ("mean", "low", "high"):
             np.testing.assert_array_equal(
-                getattr(getattr(after, band), edge), getattr(getattr(before, band), edge)
+                getattr(getattr(after, band), edge),
+                getattr(getattr(before, band), edge),
             )
     assert running.snapshot().leader == "other"
 
 
 def test_who_is_not_there_cannot_be_asked() -> None:
-    with pytest.raises(ForecastError, match="there is no candidate yet; the first comes with"):
+    with pytest.raises(
+        ForecastError, match="there is no candidate yet; the first comes with"
+    ):
         Forecaster(law_of(Peltier, 1.0)).snapshot().outlook()
-    with pytest.raises(ForecastError, match="no candidate 'nobody'; at this sample there are: rig"):
+    with pytest.raises(
+        ForecastError, match="no candidate 'nobody'; at this sample there are: rig"
+    ):
         forecaster().snapshot().outlook("nobody")
 
 
 # What is read from a forecast, against closed solutions and runs of the plant.
 
 
-def forecast(output: FloatArray, input: FloatArray, width: float = 0.0, period: float = 1.0) -> Forecast:
+def forecast(
+    output: FloatArray, input: FloatArray, width: float = 0.0, period: float = 1.0
+) -> Forecast:
     """A forecast whose bands reach `width` to both sides."""
     size = np.size(output)
     return Forecast(
@@ -184,7 +207,9 @@ def forecast(output: FloatArray, input: FloatArray, width: float = 0.0, period: 
 def test_a_lag_reaches_its_level_when_its_solution_does() -> None:
     """y = 40 + 20·(1 − e^(−t/10)); the band is 2 wide to both sides, the tolerance 0.5."""
     time = 0.1 * np.arange(1, 1201)
-    lag_forecast = forecast(40 + 20 * (1 - np.exp(-time / 10)), np.zeros(time.size), 2.0, 0.1)
+    lag_forecast = forecast(
+        40 + 20 * (1 - np.exp(-time / 10)), np.zeros(time.size), 2.0, 0.1
+    )
 
     def when(distance: float) -> float:
         return 10 * math.log(20 / distance)
@@ -212,7 +237,9 @@ def test_an_overshoot_holds_only_behind_it() -> None:
     """The rig with too much integral gain: reached on the way up, held when it is back."""
     rig = Peltier.model().parameters()
     law = dataclasses.replace(law_of(Peltier, 1.0), integral=15.0)
-    run = simulate_closed_loop(rig, np.full(200, 60.0), states=begin(rig, 40.0), law=law)
+    run = simulate_closed_loop(
+        rig, np.full(200, 60.0), states=begin(rig, 40.0), law=law
+    )
     overshooting = forecast(run.output, run.input)
     reached = time_to_reach(overshooting, 60.0, 0.2).expected
     settled = settling_time(overshooting, 60.0, 0.2).expected
@@ -253,7 +280,10 @@ def test_every_run_inside_the_band_keeps_what_is_said(
     for ask in (time_to_reach, settling_time):
         moment = ask(band_forecast, level, tolerance)
         own_time = ask(forecast(inside, inside), level, tolerance).expected
-        for sooner, later in ((moment.earliest, moment.expected), (moment.expected, moment.latest)):
+        for sooner, later in (
+            (moment.earliest, moment.expected),
+            (moment.expected, moment.latest),
+        ):
             assert (sooner or math.inf) <= (later or math.inf)
         assert (moment.earliest or math.inf) <= (own_time or math.inf)
         if ask is settling_time or abs(mean[0] - level) > tolerance:
@@ -265,10 +295,14 @@ def test_every_run_inside_the_band_keeps_what_is_said(
 
 def test_a_question_without_meaning_is_refused() -> None:
     flat = forecast(np.zeros(3), np.zeros(3))
-    with pytest.raises(ForecastError, match="forecast of twin_1: the level is nan; give a finite one"):
+    with pytest.raises(
+        ForecastError, match="forecast of twin_1: the level is nan; give a finite one"
+    ):
         time_to_reach(flat, math.nan, 0.1)
     for ask in (time_to_reach, settling_time):
-        with pytest.raises(ForecastError, match="the tolerance is 0; give a positive one"):
+        with pytest.raises(
+            ForecastError, match="the tolerance is 0; give a positive one"
+        ):
             ask(flat, 1.0, 0.0)
 
 
@@ -284,7 +318,9 @@ def test_a_held_set_point_stays() -> None:
 
 def test_steps_act_from_their_time_on() -> None:
     plan = SetPoints.planned([(0, 40), (3, 55.5), (4, 50)], before=30.0, signal=PLATE)
-    np.testing.assert_array_equal(plan.ahead(1.0, 6), [40.0, 40.0, 55.5, 50.0, 50.0, 50.0])
+    np.testing.assert_array_equal(
+        plan.ahead(1.0, 6), [40.0, 40.0, 55.5, 50.0, 50.0, 50.0]
+    )
     later = SetPoints.planned([(2.5, 55)], before=30.0)
     np.testing.assert_array_equal(later.ahead(1.0, 4), [30.0, 30.0, 55.0, 55.0])
 
@@ -298,7 +334,9 @@ def test_a_step_is_not_missed_for_a_rounding() -> None:
 
 def test_ramps_go_in_straight_lines_from_now_on() -> None:
     plan = SetPoints.planned([(4, 50), (6, 40)], before=30.0, ramps=True, signal=PLATE)
-    np.testing.assert_allclose(plan.ahead(1.0, 8), [35.0, 40.0, 45.0, 50.0, 45.0, 40.0, 40.0, 40.0])
+    np.testing.assert_allclose(
+        plan.ahead(1.0, 8), [35.0, 40.0, 45.0, 50.0, 45.0, 40.0, 40.0, 40.0]
+    )
 
 
 def test_it_is_read_from_a_csv() -> None:
@@ -308,7 +346,10 @@ def test_it_is_read_from_a_csv() -> None:
     table = np.loadtxt(lines[2:], delimiter=",")
     np.testing.assert_array_equal(np.stack([plan.times, plan.levels], axis=1), table)
     assert SetPoints.planned(list(csv.reader(lines)), before=30.0, signal=PLATE) == plan
-    assert SetPoints.planned(["10; 40", "20.5\t55", "30,50"], before=30.0, signal=PLATE) == plan
+    assert (
+        SetPoints.planned(["10; 40", "20.5\t55", "30,50"], before=30.0, signal=PLATE)
+        == plan
+    )
 
 
 @pytest.mark.parametrize(
@@ -333,7 +374,9 @@ def test_it_is_read_from_a_csv() -> None:
         (lambda: SetPoints.recorded([], 1.0), "there is no set-point; give at least that of the newest"),
     ],
 )  # fmt: skip
-def test_a_faulty_profile_is_one_clear_line(make: Callable[[], object], message: str) -> None:
+def test_a_faulty_profile_is_one_clear_line(
+    make: Callable[[], object], message: str
+) -> None:
     with pytest.raises(ForecastError) as caught:
         make()
     assert message in str(caught.value)
@@ -347,7 +390,10 @@ def test_an_unusual_set_point_is_noted() -> None:
     )
 
 
-@given(reference=st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=40), period=st.floats(0.01, 100.0))
+@given(
+    reference=st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=40),
+    period=st.floats(0.01, 100.0),
+)
 def test_recorded_set_points_come_back(reference: list[float], period: float) -> None:
     """Also those that no plan could hold: what was recorded was."""
     levels = SetPoints.recorded(reference, period).ahead(period, len(reference) - 1)
@@ -355,7 +401,12 @@ def test_recorded_set_points_come_back(reference: list[float], period: float) ->
 
 
 @given(
-    rows=st.lists(st.tuples(st.floats(0.0, 50.0), levels), min_size=1, max_size=8, unique_by=lambda r: r[0]),
+    rows=st.lists(
+        st.tuples(st.floats(0.0, 50.0), levels),
+        min_size=1,
+        max_size=8,
+        unique_by=lambda r: r[0],
+    ),
     before=levels,
     ramps=st.booleans(),
 )

@@ -42,7 +42,12 @@ PROSE: Final = frozenset({
 GROUPS: Final = (
     ("matches", re.compile(r"^matches$")),
     ("summary", re.compile(r"^summary$")),
-    ("forecasts", re.compile(r"^(forecasts|horizons|leader.*|held_(low|high)|miss_.*|inside_.*)$")),
+    (
+        "forecasts",
+        re.compile(
+            r"^(forecasts|horizons|leader.*|held_(low|high)|miss_.*|inside_.*)$"
+        ),
+    ),
     ("health", re.compile(r"^fault.*$")),
     ("structure", re.compile(r"^structure_parameters$|^structures?$")),
     ("nu_gap", re.compile(r"gap|^margin$|^nominal_probability$")),
@@ -96,7 +101,9 @@ def compare(name: str, entry: Entry) -> tuple[list[str], str]:
         if not _alike(stored["figures"].get(key), entry["figures"].get(key))
     ]
     differing = [
-        key for key, value in stored["fingerprint"].items() if entry["fingerprint"].get(key) != value
+        key
+        for key, value in stored["fingerprint"].items()
+        if entry["fingerprint"].get(key) != value
     ]
     if differing:
         figures = [line for line in figures if not line.startswith(UNSTEADY)]
@@ -104,7 +111,11 @@ def compare(name: str, entry: Entry) -> tuple[list[str], str]:
     if stored["bits"] == entry["bits"]:
         return [], "every bit"
     groups = stored["parts"] | entry["parts"]
-    moved = [group for group in groups if stored["parts"].get(group) != entry["parts"].get(group)]
+    moved = [
+        group
+        for group in groups
+        if stored["parts"].get(group) != entry["parts"].get(group)
+    ]
     return [f"bits differ in {', '.join(moved)}", *figures], "every bit"
 
 
@@ -168,7 +179,9 @@ def _gcc() -> str:
     )
 
 
-def _leaves(value: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
+def _leaves(
+    value: Any, path: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], str]]:
     """All values but prose, each as text that determines its bits."""
     if isinstance(value, dict):
         for key, inside in value.items():
@@ -228,12 +241,17 @@ def _replay_figures(document: dict[str, Any]) -> dict[str, Any]:
 
 def _backtest_figures(document: dict[str, Any]) -> dict[str, Any]:
     cards = document["total"]["cards"]
-    medians = {f"{card['who']}, {card['horizon']:g} s": card["median"] for card in cards}
+    medians = {
+        f"{card['who']}, {card['horizon']:g} s": card["median"] for card in cards
+    }
     return {"origins": document["total"]["origins"], **medians}
 
 
 def _report_figures(document: dict[str, Any]) -> dict[str, Any]:
-    return {"tables": len(document), "numbers": sum(len(row) for rows in document.values() for row in rows)}
+    return {
+        "tables": len(document),
+        "numbers": sum(len(row) for rows in document.values() for row in rows),
+    }
 
 
 def _forecast_figures(document: list[dict[str, Any]]) -> dict[str, Any]:
@@ -260,7 +278,11 @@ def _rounded(value: Any) -> Any:
 
 
 def _alike(value: Any, expected: Any) -> bool:
-    if isinstance(value, list) and isinstance(expected, list) and len(value) == len(expected):
+    if (
+        isinstance(value, list)
+        and isinstance(expected, list)
+        and len(value) == len(expected)
+    ):
         return all(map(_alike, value, expected))
     if isinstance(value, float) and isinstance(expected, float):
         return math.isclose(value, expected, rel_tol=ROUGHLY)

@@ -16,9 +16,15 @@ WORKERS = 2
 def main() -> int:
     """Compare or make; returns 1 if something differs."""
     parser = argparse.ArgumentParser(prog="python -m tests.golden", description=__doc__)
-    parser.add_argument("sources", nargs="*", metavar="SOURCE", help="only these (default: all)")
-    parser.add_argument("--make", action="store_true", help="write the files instead of comparing")
-    parser.add_argument("--list", action="store_true", help="print the names of the sources")
+    parser.add_argument(
+        "sources", nargs="*", metavar="SOURCE", help="only these (default: all)"
+    )
+    parser.add_argument(
+        "--make", action="store_true", help="write the files instead of comparing"
+    )
+    parser.add_argument(
+        "--list", action="store_true", help="print the names of the sources"
+    )
     options = parser.parse_args()
     unknown = [name for name in options.sources if name not in SOURCES]
     if unknown:

@@ -59,7 +59,9 @@ def _run(command: str, *options: object, out: Path | None = None) -> Any:
 
 def _present(path: Path) -> Path:
     if not path.exists():
-        raise MissingSourceError(f"{path} is not here; see TWINMATCH_RECORDINGS, TWINMATCH_PLANT_RECORDINGS")
+        raise MissingSourceError(
+            f"{path} is not here; see TWINMATCH_RECORDINGS, TWINMATCH_PLANT_RECORDINGS"
+        )
     return path
 
 
@@ -67,9 +69,22 @@ def _replayed(session: Path, folder: Path, *options: object) -> Documents:
     return {"replay": _run("replay", session, *options, out=folder / "replay.json")}
 
 
-def _imported(table: Path, folder: Path, plant: str, *mapped: str, gaps: str = "refuse") -> Path:
+def _imported(
+    table: Path, folder: Path, plant: str, *mapped: str, gaps: str = "refuse"
+) -> Path:
     session = folder / "session"
-    _run("import", _present(table), "--plant", plant, "--gaps", gaps, "--map", *mapped, "-o", session)
+    _run(
+        "import",
+        _present(table),
+        "--plant",
+        plant,
+        "--gaps",
+        gaps,
+        "--map",
+        *mapped,
+        "-o",
+        session,
+    )
     return session
 
 
@@ -78,7 +93,9 @@ def _shipped(folder: Path) -> Documents:
 
 
 def _rig(number: int) -> Callable[[Path], Documents]:
-    return lambda folder: _replayed(_present(RECORDINGS / f"BMData{number}_022722.mat"), folder)
+    return lambda folder: _replayed(
+        _present(RECORDINGS / f"BMData{number}_022722.mat"), folder
+    )
 
 
 def _incubator(name: str) -> Callable[[Path], Documents]:
@@ -93,13 +110,22 @@ def _incubator(name: str) -> Callable[[Path], Documents]:
 
 def _one_heater(folder: Path) -> Documents:
     table = OTHERS / "tclab" / "one_heater_600s.csv"
-    return _replayed(_imported(table, folder, "tclab", "time=time", "output=T", "input=Q"), folder)
+    return _replayed(
+        _imported(table, folder, "tclab", "time=time", "output=T", "input=Q"), folder
+    )
 
 
 def _two_heaters(folder: Path) -> Documents:
     """Judged once: the backtest has its own run through the twin."""
-    mapped = ("time=Time (sec)", "output=Temperature 1 (degC)", "input=Heater 1 (%)", "second=Heater 2 (%)")
-    session = _imported(OTHERS / "tclab" / "two_heaters_600s.csv", folder, "tclab", *mapped)
+    mapped = (
+        "time=Time (sec)",
+        "output=Temperature 1 (degC)",
+        "input=Heater 1 (%)",
+        "second=Heater 2 (%)",
+    )
+    session = _imported(
+        OTHERS / "tclab" / "two_heaters_600s.csv", folder, "tclab", *mapped
+    )
     tested = _run("backtest", session, "--every", 100, out=folder / "backtest.json")
     return {**_replayed(session, folder), "backtest": tested}
 
@@ -113,12 +139,18 @@ def _forecasts(folder: Path) -> Documents:
     out = folder / "forecast.json"
     return {
         "held": _run("forecast", session, "--at", 500, 700, "--hold", 70, out=out),
-        "recorded": _run("forecast", session, "--at", 600, "--reference", "recorded", out=out),
+        "recorded": _run(
+            "forecast", session, "--at", 600, "--reference", "recorded", out=out
+        ),
     }
 
 
 def _backtest(folder: Path) -> Documents:
-    return {"backtest": _run("backtest", _quarter(folder), "--every", 180, out=folder / "backtest.json")}
+    return {
+        "backtest": _run(
+            "backtest", _quarter(folder), "--every", 180, out=folder / "backtest.json"
+        )
+    }
 
 
 def _report(folder: Path) -> Documents:
@@ -179,7 +211,8 @@ class _Tables(HTMLParser):
         self._inside = self._over = False
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self._over = self._over or ("id", "provenance") in attrs  # versions, paths and dates
+        # versions, paths and dates
+        self._over = self._over or ("id", "provenance") in attrs
         if self._over:
             return
         if tag == "table":

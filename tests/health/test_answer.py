@@ -24,7 +24,9 @@ from twinmatch.health.lagged_effect import is_lagged
 from twinmatch.plants import Peltier, TCLab
 from twinmatch.signals import Sample
 
-pytest.importorskip("tclab", reason="no kit to simulate; pip install 'twinmatch[tclab]'")
+pytest.importorskip(
+    "tclab", reason="no kit to simulate; pip install 'twinmatch[tclab]'"
+)
 
 
 def alarms(samples: int, broken: Broken = HEALTHY, seed: int = 0) -> tuple[Alarm, ...]:
@@ -41,8 +43,12 @@ def test_a_healthy_kit_is_left_alone(gain: float) -> None:
     assert alarms(900, Broken(gain=gain), seed=1) == ()
 
 
-@pytest.mark.parametrize(("seed", "lost"), [*((1, lost) for lost in (430, 700, 1000, 1500)), (2, 700)])
-def test_a_lost_heater_is_reported_in_half_a_minute_and_named_a_minute_later(seed: int, lost: int) -> None:
+@pytest.mark.parametrize(
+    ("seed", "lost"), [*((1, lost) for lost in (430, 700, 1000, 1500)), (2, 700)]
+)
+def test_a_lost_heater_is_reported_in_half_a_minute_and_named_a_minute_later(
+    seed: int, lost: int
+) -> None:
     """At each level, on the way up and after a rest: what it does shows only after its lags, and larger
     losses look the same until then."""
     both, named = alarms(lost + 100, Broken(lost=lost), seed)
@@ -74,7 +80,9 @@ def test_a_heater_lost_at_rest_is_reported_as_soon_as_its_power_shows(
     """In 30 s a heater lost at 10 % takes 0.6 °C from the reading, two of its steps. At 5 % a room that
     becomes 3 °C colder does the same, until the controller has raised the power."""
     lost = 700 + 50 * seed
-    both, named = watch(run(Simulated(seed), hold(power, lost + latest + 76), Broken(lost=lost)))
+    both, named = watch(
+        run(Simulated(seed), hold(power, lost + latest + 76), Broken(lost=lost))
+    )
     assert both.fault is Fault.DRIFT
     assert soonest <= both.flagged - lost <= latest
     assert named.fault is Fault.DRIVE_LOST
@@ -87,11 +95,21 @@ def test_samples_without_disturbances_have_the_usual_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    "seed", [1, pytest.param(13, marks=pytest.mark.long("three quarters of an hour of one more kit"))]
+    "seed",
+    [
+        1,
+        pytest.param(
+            13, marks=pytest.mark.long("three quarters of an hour of one more kit")
+        ),
+    ],
 )
-def test_a_kit_that_answers_sooner_and_more_than_expected_has_its_heater(seed: int) -> None:
+def test_a_kit_that_answers_sooner_and_more_than_expected_has_its_heater(
+    seed: int,
+) -> None:
     """Once its set-point falls, or the controller brakes, it does what a dead heater would do."""
-    samples = run(Published(seed), some_levels(seed, 1200 if seed == 1 else 2700, 26.0, 65.0, 700))
+    samples = run(
+        Published(seed), some_levels(seed, 1200 if seed == 1 else 2700, 26.0, 65.0, 700)
+    )
     assert watch(samples) == ()
 
 
@@ -112,7 +130,9 @@ def test_a_kit_under_another_law_is_left_alone(name: str) -> None:
     In the first minutes what looks missing is how late this kit follows."""
     monitor = Monitor(HealthSettings.of(TCLab, 5.0))
     for k, row in enumerate(kit_rows("tclab_other", name)):
-        monitor.push(Sample(k, 5_000_000_000 * k, row["T1"], row["T1"], row["Q1"], (row["Q2"],)))
+        monitor.push(
+            Sample(k, 5_000_000_000 * k, row["T1"], row["T1"], row["Q1"], (row["Q2"],))
+        )
     assert monitor.alarms == ()
 
 

@@ -10,8 +10,23 @@ import pytest
 from tests.support import faulty_rig as rig
 from tests.support.plants import Motor
 from tests.support.servo import PERIOD, Servo, turns
-from twinmatch.dynamics import Controller, advance, begin, read, simulate_closed_loop, simulate_driven
-from twinmatch.health import Alarm, Balance, Fault, HealthError, HealthSettings, Monitor, Refusals
+from twinmatch.dynamics import (
+    Controller,
+    advance,
+    begin,
+    read,
+    simulate_closed_loop,
+    simulate_driven,
+)
+from twinmatch.health import (
+    Alarm,
+    Balance,
+    Fault,
+    HealthError,
+    HealthSettings,
+    Monitor,
+    Refusals,
+)
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
 
@@ -42,7 +57,9 @@ def test_an_error_of_drive_and_losses_is_learned() -> None:
     early = []
     late = []
     for k in range(len(reference) - 1):
-        movement = balance.step(tick(run.output[k], run.input[k]), float(run.output[k + 1]))
+        movement = balance.step(
+            tick(run.output[k], run.input[k]), float(run.output[k + 1])
+        )
         full = balance.block()
         if full is not None:
             balance.learn(*full, healthy=True)
@@ -72,7 +89,9 @@ def test_what_was_unhealthy_is_not_learned() -> None:
         ({"lost": 1.0}, "lost is 1.0 and weak is 0.6; give shares"),
     ],
 )
-def test_settings_that_tell_nothing_are_refused(settings: dict[str, float], message: str) -> None:
+def test_settings_that_tell_nothing_are_refused(
+    settings: dict[str, float], message: str
+) -> None:
     with pytest.raises(HealthError, match=message):
         HealthSettings(**settings)
 
@@ -112,14 +131,22 @@ def alarms(kind: str = "", matched: int = 400, **values: float) -> tuple[Alarm, 
     y = 0.0
     monitor = Monitor(HealthSettings.of(Motor, PERIOD_OTHER_PLANT))
     refusals = Refusals(monitor.settings, 5)
-    for k, reference in enumerate(np.repeat([50.0, 120.0, 80.0, -150.0, 100.0, 130.0, 60.0, 110.0], 200)):
+    for k, reference in enumerate(
+        np.repeat([50.0, 120.0, 80.0, -150.0, 100.0, 130.0, 60.0, 110.0], 200)
+    ):
         broken = kind if k >= BROKEN else ""
         if broken != "frozen":
-            y = 700.0 if broken == "off" else read(truth, states) + random.normal(0.0, 0.2)
+            y = (
+                700.0
+                if broken == "off"
+                else read(truth, states) + random.normal(0.0, 0.2)
+            )
         u = pid.step(float(reference), y)[0]
         load = 0.02 * np.sin(k / 200)
         nominal = truth if k >= matched else None
-        sample = Sample(k, round(k * PERIOD_OTHER_PLANT * 1e9), float(reference), y, u, (load,))
+        sample = Sample(
+            k, round(k * PERIOD_OTHER_PLANT * 1e9), float(reference), y, u, (load,)
+        )
         if nominal is not None:
             refusals.know(nominal)
         monitor.push(refusals.settle(sample), nominal)
@@ -156,7 +183,9 @@ def test_a_sensor_is_watched_before_anything_is_matched() -> None:
         ),
     ],
 )
-def test_what_breaks_is_reported(kind: str, fault: Fault, within: float, words: str) -> None:
+def test_what_breaks_is_reported(
+    kind: str, fault: Fault, within: float, words: str
+) -> None:
     alarm = alarms(kind)[0]
     assert alarm.fault is fault
     assert 0 <= (alarm.flagged - BROKEN) * PERIOD_OTHER_PLANT <= within

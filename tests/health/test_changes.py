@@ -41,16 +41,22 @@ def test_a_hand_on_the_plate_is_a_disturbance_and_no_fault_of_drive_or_losses() 
         still = np.full(800, rig.profile(seed + 1000, 600)[400])
         reference = np.concatenate([rig.profile(seed + 1000, 400), still])
         for heat in ("heat+4", "heat-4"):
-            samples, _ = rig.run(reference, rig.Break(heat, 620, 20), rig=rig.some_rig(seed), seed=seed)
+            samples, _ = rig.run(
+                reference, rig.Break(heat, 620, 20), rig=rig.some_rig(seed), seed=seed
+            )
             alarms = rig.watch(samples)[0].alarms
             counts.update(alarm.fault for alarm in alarms)
-            assert all(alarm.last is not None and 540 <= alarm.first <= 640 for alarm in alarms)
+            assert all(
+                alarm.last is not None and 540 <= alarm.first <= 640 for alarm in alarms
+            )
     assert set(counts) == {Fault.DISTURBANCE}
     assert counts[Fault.DISTURBANCE] == 4
 
 
 def test_the_sentence_says_what_has_changed_by_how_much_and_where_to_look() -> None:
-    samples, _ = rig.run(rig.profile(1002, 1200), rig.Break("room+10", 700), rig=rig.some_rig(2), seed=2)
+    samples, _ = rig.run(
+        rig.profile(1002, 1200), rig.Break("room+10", 700), rig=rig.some_rig(2), seed=2
+    )
     (alarm,) = rig.watch(samples)[0].alarms
     assert alarm.fault is Fault.ROOM_CHANGED
     assert 680 <= alarm.first <= 720
@@ -60,12 +66,16 @@ def test_the_sentence_says_what_has_changed_by_how_much_and_where_to_look() -> N
 
 def test_what_is_undone_is_over_and_what_stays_is_usual_after_ten_minutes() -> None:
     reference = rig.profile(1004, 1450)
-    undone, _ = rig.run(reference, rig.Break("supply*0.7", 700, 300), rig=rig.some_rig(4), seed=4)
+    undone, _ = rig.run(
+        reference, rig.Break("supply*0.7", 700, 300), rig=rig.some_rig(4), seed=4
+    )
     alarms = rig.watch(undone)[0].alarms
     assert [a.fault for a in alarms] == [Fault.DRIVE_WEAK]
     assert alarms[0].last is not None
     assert 1000 <= alarms[0].last <= 1100
-    stays, _ = rig.run(reference, rig.Break("room+10", 700), rig=rig.some_rig(4), seed=4)
+    stays, _ = rig.run(
+        reference, rig.Break("room+10", 700), rig=rig.some_rig(4), seed=4
+    )
     monitor, _ = rig.watch(stays)
     (alarm,) = monitor.alarms
     assert not monitor.doubt  # the readings cannot have shifted
@@ -77,7 +87,10 @@ def test_shifted_readings_never_become_usual_and_are_over_when_they_step_back() 
     """The step back comes while the plate heats up, where it hides best; other changes became usual long
     before."""
     samples, _ = rig.run(
-        rig.profile(1005, 1980), rig.Break("reading+3", 700, 1200), rig=rig.some_rig(5), seed=5
+        rig.profile(1005, 1980),
+        rig.Break("reading+3", 700, 1200),
+        rig=rig.some_rig(5),
+        seed=5,
     )
     monitor = Monitor()
     doubts = []
@@ -89,14 +102,21 @@ def test_shifted_readings_never_become_usual_and_are_over_when_they_step_back() 
     assert alarm.last is not None
     assert 1900 <= alarm.last <= 1960
     assert {bool(doubt) for doubt in doubts[800:1900]} == {True}
-    assert doubts[1000].startswith("the readings of the plate temperature may be off by about +3")
+    assert doubts[1000].startswith(
+        "the readings of the plate temperature may be off by about +3"
+    )
     assert doubts[1000].endswith("°C: compare them with another thermometer")
     assert not doubts[1970]
 
 
 def test_time_without_readings_does_not_show_that_they_are_right_again() -> None:
     """After a gap they are still off; a new session knows nothing."""
-    samples, _ = rig.run(rig.profile(1004, 1150), rig.Break("reading+3", 700), rig=rig.some_rig(4), seed=4)
+    samples, _ = rig.run(
+        rig.profile(1004, 1150),
+        rig.Break("reading+3", 700),
+        rig=rig.some_rig(4),
+        seed=4,
+    )
     monitor = Monitor()
     for sample in samples[:1000] + samples[1060:]:
         monitor.push(sample)
@@ -119,7 +139,15 @@ def test_the_plant_is_trusted_as_far_as_the_samples_bear() -> None:
     rough = ChangeDetector(HealthSettings().followed, 1.0)
     wander = np.cumsum(random.normal(0.0, 0.15, len(samples)))
     for sample, wandered in zip(samples, wander, strict=True):
-        rough.push(Sample(sample.index, 0, sample.reference, sample.output + float(wandered), sample.input))
+        rough.push(
+            Sample(
+                sample.index,
+                0,
+                sample.reference,
+                sample.output + float(wandered),
+                sample.input,
+            )
+        )
     assert rough.level > exact.level
 
 
@@ -142,15 +170,24 @@ def motors(*kinds: str) -> list[Monitor]:
             monitor.push(Sample(k, k, wanted, y, u, (load,)))
             unseen = 0.005 if kind == "load" else 0.0
             share = 0.75 if kind == "weak" else 1.0
-            states = advance(truth, states, share * u, period, np.array([load + unseen]))
+            states = advance(
+                truth, states, share * u, period, np.array([load + unseen])
+            )
             k += 1
         return k, states, pid, random, monitor
 
-    k, states, pid, random, monitor = run(400.0, (0, begin(truth, 0.0), pid, random, monitor))
-    return [run(500.0, (k, states, *deepcopy((pid, random)), copied(monitor)), kind)[-1] for kind in kinds]
+    k, states, pid, random, monitor = run(
+        400.0, (0, begin(truth, 0.0), pid, random, monitor)
+    )
+    return [
+        run(500.0, (k, states, *deepcopy((pid, random)), copied(monitor)), kind)[-1]
+        for kind in kinds
+    ]
 
 
-def test_another_plant_is_judged_by_what_its_file_says(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_plant_is_judged_by_what_its_file_says(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(Motor, "typical", {"k": 0.05})
     unchanged, weak, loaded = motors("", "weak", "load")
     assert unchanged.alarms == ()
@@ -163,7 +200,9 @@ def test_roles_and_the_structure_to_be_followed_are_checked() -> None:
     with pytest.raises(PlantError, match="role 'lid' of a parameter"):
         Parameter(default=1.0, bounds=(0.5, 2.0), role="lid")
     assert Peltier.followed in Peltier.structures
-    with pytest.raises(PlantError, match="`followed` is 'none'; name one of its structures"):
+    with pytest.raises(
+        PlantError, match="`followed` is 'none'; name one of its structures"
+    ):
         type("Other", (Motor,), {"followed": "none"})
 
 
@@ -179,5 +218,7 @@ class Stronger:
 
 
 def test_a_drive_that_does_more_than_it_should_is_not_weak() -> None:
-    samples, _ = rig.run(rig.profile(1004, 1200), cast("Any", Stronger()), rig=rig.some_rig(4), seed=4)
+    samples, _ = rig.run(
+        rig.profile(1004, 1200), cast("Any", Stronger()), rig=rig.some_rig(4), seed=4
+    )
     assert {a.fault for a in rig.watch(samples)[0].alarms} == {Fault.DRIFT}

@@ -37,7 +37,9 @@ def recorded(folder: str, name: str, period: float = 1.0) -> Iterator[Sample]:
         yield Sample(k, round(k * period * 1e9), (0.0, 0.0), (y1, y2), (u1, u2))
 
 
-def watched(samples: Iterator[Sample], size: int, period: float = 1.0) -> ChannelMonitor:
+def watched(
+    samples: Iterator[Sample], size: int, period: float = 1.0
+) -> ChannelMonitor:
     """A monitor that has taken so many samples."""
     monitor = ChannelMonitor(typical(), period)
     for sample in islice(samples, size):
@@ -73,10 +75,14 @@ def kit_21(mishap: str = "nothing") -> tuple[ChannelMonitor, Iterator[Sample]]:
 
     The kit is the same until then, whatever happens.
     """
-    return copied(before_anything_happens().monitor), islice(run(21, mishap), BEGINS, None)
+    return copied(before_anything_happens().monitor), islice(
+        run(21, mishap), BEGINS, None
+    )
 
 
-def changed(sample: Sample, signal: str, channel: int, factor: float = 1.0, added: float = 0.0) -> Sample:
+def changed(
+    sample: Sample, signal: str, channel: int, factor: float = 1.0, added: float = 0.0
+) -> Sample:
     """The sample with another output or input of one channel."""
     values = {"outputs": list(sample.outputs), "inputs": list(sample.inputs)}
     values[signal][channel] = factor * values[signal][channel] + added
@@ -92,7 +98,11 @@ def test_a_sensor_that_is_off_is_named_with_its_channel() -> None:
     for sample in islice(samples, 15):
         monitor.push(sample)
     (alarm,) = monitor.alarms
-    assert (alarm.fault, alarm.signal, alarm.last) == (Fault.SENSOR_DRIFT, "second_temperature", None)
+    assert (alarm.fault, alarm.signal, alarm.last) == (
+        Fault.SENSOR_DRIFT,
+        "second_temperature",
+        None,
+    )
     assert alarm.first >= BEGINS - 2  # onsets are two seconds apart
     assert abs(alarm.size - 5.0) < 1.0
     assert alarm.reason.startswith("the readings of temperature T2 are off by about +")
@@ -108,7 +118,9 @@ def test_a_lost_heater_is_named_with_its_channel() -> None:
     assert alarm.size < 0.2
 
 
-def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_before() -> None:
+def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_before() -> (
+    None
+):
     samples = recorded("tclab_2x2", "prbs_open_loop")
     onset = 1500
     monitor = watched(samples, onset)
@@ -159,7 +171,9 @@ def test_a_real_heater_of_which_half_arrives_is_named_and_nothing_before() -> No
         *(("tclab_other", f"mpc_{number}", 5.0) for number in (1, 44, 45, 54)),
     ],
 )
-def test_healthy_kits_of_others_get_no_alarm(folder: str, name: str, period: float) -> None:
+def test_healthy_kits_of_others_get_no_alarm(
+    folder: str, name: str, period: float
+) -> None:
     """Another kit each, of which two inputs have steps of a hundred per cent."""
     assert watched(recorded(folder, name, period), 1000, period).alarms == ()
 
@@ -174,11 +188,20 @@ def test_a_healthy_kit_seldom_reaches_the_evidence_of_an_alarm() -> None:
         for sample in run(seed, "nothing", 200):
             competition.push(sample, np.array(sample.outputs), np.ones(2, dtype=bool))
             best = max(
-                [best, *(candidate.evidence for candidate in competition.suspects() if candidate.row.number)]
+                [
+                    best,
+                    *(
+                        candidate.evidence
+                        for candidate in competition.suspects()
+                        if candidate.row.number
+                    ),
+                ]
             )
         highest.append(best)
     for nats in (3.0, 5.0):
-        assert sum(best >= nats for best in highest) <= binom.ppf(0.9999, len(highest), math.exp(-nats))
+        assert sum(best >= nats for best in highest) <= binom.ppf(
+            0.9999, len(highest), math.exp(-nats)
+        )
 
 
 def test_a_gap_and_a_lost_reading_say_nothing_of_the_plant() -> None:
@@ -187,7 +210,9 @@ def test_a_gap_and_a_lost_reading_say_nothing_of_the_plant() -> None:
     for sample in run(23, "nothing", 1400):
         if 600 <= sample.index < 1200:
             continue
-        lost = changed(sample, "outputs", 0, added=math.nan if sample.index % 40 == 0 else 0.0)
+        lost = changed(
+            sample, "outputs", 0, added=math.nan if sample.index % 40 == 0 else 0.0
+        )
         monitor.push(lost)
     assert monitor.alarms == ()
 
@@ -203,8 +228,13 @@ def test_while_no_sensor_is_right_none_is_read_through() -> None:
         read_through.append({estimate.signal for estimate in monitor.estimates})
     assert read_through[19] == {"temperature"}
     assert read_through[-1] == set()
-    assert [alarm.signal for alarm in monitor.alarms[-2:]] == ["temperature", "second_temperature"]
-    assert monitor.alarms[-1].reason.endswith("; no sensor is right, so none can be read through")
+    assert [alarm.signal for alarm in monitor.alarms[-2:]] == [
+        "temperature",
+        "second_temperature",
+    ]
+    assert monitor.alarms[-1].reason.endswith(
+        "; no sensor is right, so none can be read through"
+    )
 
 
 def test_beside_a_sensor_that_is_read_through_none_is_rehearsed() -> None:
@@ -213,8 +243,14 @@ def test_beside_a_sensor_that_is_read_through_none_is_rehearsed() -> None:
     for sample in islice(run(3, "T1 frozen"), BEGINS + 150):
         monitor.push(sample)
         through = bool(monitor.competition.through)
-        assert not (through and any(rehearsal.on for rehearsal in monitor.competition._rehearsals))
-    assert (monitor.alarms[-1].fault, monitor.alarms[-1].signal) == (Fault.SENSOR_FROZEN, "temperature")
+        assert not (
+            through
+            and any(rehearsal.on for rehearsal in monitor.competition._rehearsals)
+        )
+    assert (monitor.alarms[-1].fault, monitor.alarms[-1].signal) == (
+        Fault.SENSOR_FROZEN,
+        "temperature",
+    )
 
 
 def test_an_impossible_sensor_is_read_through_by_the_newest_filter() -> None:
@@ -225,8 +261,13 @@ def test_an_impossible_sensor_is_read_through_by_the_newest_filter() -> None:
         monitor.push(changed(sample, "outputs", 0, added=math.nan))
         estimates += [(estimate, sample.outputs[0]) for estimate in monitor.estimates]
     first, _ = estimates[0]
-    assert (first.signal, monitor.competition.through[0].rehearsed) == ("temperature", 0)
-    beyond_band = [abs(estimate.value - true) - estimate.band for estimate, true in estimates]
+    assert (first.signal, monitor.competition.through[0].rehearsed) == (
+        "temperature",
+        0,
+    )
+    beyond_band = [
+        abs(estimate.value - true) - estimate.band for estimate, true in estimates
+    ]
     assert max(beyond_band) < 0.3  # a step of the display
 
 
@@ -239,10 +280,14 @@ def test_a_drive_that_is_given_back_ends_no_reading_through() -> None:
             wrong_sample = changed(wrong_sample, "inputs", 1, factor=3.0)
         monitor.push(wrong_sample)
         if sample.index >= BEGINS + 20:
-            assert [estimate.signal for estimate in monitor.estimates] == ["second_temperature"], sample.index
+            assert [estimate.signal for estimate in monitor.estimates] == [
+                "second_temperature"
+            ], sample.index
 
 
-def test_a_rehearsal_from_before_the_plant_is_known_counts_until_a_later_one_is_over() -> None:
+def test_a_rehearsal_from_before_the_plant_is_known_counts_until_a_later_one_is_over() -> (
+    None
+):
     """The parameters of a kit are not known in its first quarter of an hour; later estimates are better."""
     _, sums, counts = before_anything_happens()
     assert counts[890] == 0.0
@@ -256,7 +301,9 @@ def test_a_rehearsal_from_before_the_plant_is_known_counts_until_a_later_one_is_
 
 
 @lru_cache(maxsize=1)
-def disturbed() -> tuple[list[tuple[ChannelAlarm, ...]], list[tuple[EstimatedReading, ...]]]:
+def disturbed() -> tuple[
+    list[tuple[ChannelAlarm, ...]], list[tuple[EstimatedReading, ...]]
+]:
     """Alarms and estimates after each sample of a real loop at constant set-points, to which things happen
     every 5 min."""
     monitor = ChannelMonitor(typical(), 1.0)
@@ -272,10 +319,16 @@ def disturbed() -> tuple[list[tuple[ChannelAlarm, ...]], list[tuple[EstimatedRea
 def test_readings_that_jump_at_once_are_reported_and_read_through_by_none() -> None:
     """From sample 1500 on both sensors of a real kit read 5 °C too little, for five minutes."""
     alarms, estimates = disturbed()
-    assert [alarm.fault for alarm in alarms[1499]] == [Fault.SENSOR_DRIFT] * 2  # one sensor at a time
+    # one sensor at a time
+    assert [alarm.fault for alarm in alarms[1499]] == [Fault.SENSOR_DRIFT] * 2
     assert set(estimates[1500:1790]) == {()}
     *_, jumped = alarms[1789]
-    assert (jumped.fault, jumped.first, jumped.last, jumped.spoils) == (Fault.DRIFT, 1500, None, True)
+    assert (jumped.fault, jumped.first, jumped.last, jumped.spoils) == (
+        Fault.DRIFT,
+        1500,
+        None,
+        True,
+    )
     assert jumped.flagged <= 1505
     assert "temperature T1 and temperature T2 jumped at once" in jumped.reason
     after_it = alarms[1819]  # they are right again
@@ -283,7 +336,9 @@ def test_readings_that_jump_at_once_are_reported_and_read_through_by_none() -> N
     assert len(after_it) == 3
 
 
-def test_real_heaters_that_lack_or_exceed_a_fifth_are_named_and_a_display_that_stands_is_not() -> None:
+def test_real_heaters_that_lack_or_exceed_a_fifth_are_named_and_a_display_that_stands_is_not() -> (
+    None
+):
     """Heater 1 lacks 20 % from sample 2700 on, heater 2 has 20 % too much from 3300 on, both for 5 min; and
     both lack 20 % from 3900 on. The loop holds T1 so well that its display often stands for half a minute.
     """

@@ -16,7 +16,12 @@ def test_every_fault_has_a_row() -> None:
 @pytest.mark.parametrize("fault", Fault)
 def test_a_sentence_has_all_that_it_names(fault: Fault) -> None:
     traits = TRAITS[fault]
-    words = {"name": "T1", "size": "3 °C", "surroundings": "the room", "rivals": "losses"}
+    words = {
+        "name": "T1",
+        "size": "3 °C",
+        "surroundings": "the room",
+        "rivals": "losses",
+    }
     assert "{" not in traits.suspect.format(**words) + traits.sentence.format(**words)
 
 
@@ -35,7 +40,13 @@ def test_what_does_not_blind_is_replaced_by_what_does() -> None:
         assert traits.blinds or Fault.DRIVE_LOST in PRECEDENCE[fault], fault
 
 
-def test_a_fault_is_never_replaced_by_itself_and_a_sudden_one_by_none_but_graver_ones() -> None:
+def test_a_fault_is_never_replaced_by_itself_and_a_sudden_one_by_none_but_graver_ones() -> (
+    None
+):
     for fault, graver in PRECEDENCE.items():
         assert fault not in graver
-        assert TRAITS[fault].slow or TRAITS[fault].unnamed or graver < {f for f in Fault if f not in SLOW}
+        assert (
+            TRAITS[fault].slow
+            or TRAITS[fault].unnamed
+            or graver < {f for f in Fault if f not in SLOW}
+        )

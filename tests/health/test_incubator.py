@@ -32,7 +32,9 @@ def test_an_open_lid_is_reported_as_other_losses_and_only_that(seed: int) -> Non
     lid = Lid(300 + 7 * seed, 320 + 7 * seed, 6.0)
     *unnamed, alarm = alarms = watch(run(some_incubator(seed), seed, 600, lid))
     assert alarm.fault is Fault.LOSSES_CHANGED
-    assert {a.fault for a in unnamed} <= {Fault.DRIFT}, "the drive is lost, or the losses are larger"
+    assert {a.fault for a in unnamed} <= {Fault.DRIFT}, (
+        "the drive is lost, or the losses are larger"
+    )
     assert 0 < (alarms[0].flagged - lid.opened) * PERIOD <= 75
     assert alarm.last is not None
     assert 0 < (alarm.last - lid.closed) * PERIOD <= 120
@@ -46,7 +48,9 @@ def test_nothing_is_reported_for_one_that_is_left_alone(seed: int) -> None:
 
 def test_a_room_that_is_measured_is_not_a_hypothesis() -> None:
     """What it does is in the equations: 8 °C within ten minutes are the room's and not the plant's."""
-    asked = ChangeDetector(HealthSettings.of(Incubator, PERIOD).followed, PERIOD).hypotheses
+    asked = ChangeDetector(
+        HealthSettings.of(Incubator, PERIOD).followed, PERIOD
+    ).hypotheses
     assert {h.fault for h in asked} == {
         Fault.LOSSES_CHANGED,
         Fault.DRIVE_WEAK,  # behind a lag it may be lost, too
@@ -59,11 +63,17 @@ def test_a_room_that_is_measured_is_not_a_hypothesis() -> None:
 
 def test_a_reading_whose_noise_is_lost_in_its_last_digit_may_stand_still() -> None:
     """At the top of every swing both sensors repeat themselves for half a minute."""
-    faults = [a.fault for seed in (10, 18) for a in watch(run(some_incubator(seed), seed, 250))]
+    faults = [
+        a.fault
+        for seed in (10, 18)
+        for a in watch(run(some_incubator(seed), seed, 250))
+    ]
     assert faults == []
 
 
-def test_a_frozen_reading_is_reported_all_the_same_once_the_plant_should_have_moved() -> None:
+def test_a_frozen_reading_is_reported_all_the_same_once_the_plant_should_have_moved() -> (
+    None
+):
     monitor = Monitor(HealthSettings.of(Incubator, PERIOD))
     samples = run(some_incubator(1), 1, 500)
     for k, sample in enumerate(samples):
@@ -77,12 +87,16 @@ def test_a_frozen_reading_is_reported_all_the_same_once_the_plant_should_have_mo
 
 
 @pytest.mark.parametrize("name", [FIRST, SECOND])
-def test_nothing_is_reported_in_a_published_run(incubator_folder: Path, name: str) -> None:
+def test_nothing_is_reported_in_a_published_run(
+    incubator_folder: Path, name: str
+) -> None:
     assert watch(samples_of(read_run(incubator_folder, name))) == ()
 
 
 @pytest.mark.parametrize("name", [LID, LIDS])
-def test_every_lid_is_reported_until_it_is_closed(incubator_folder: Path, name: str) -> None:
+def test_every_lid_is_reported_until_it_is_closed(
+    incubator_folder: Path, name: str
+) -> None:
     """Two, and four within two hours. The parameters of this hardware are others; the monitor learns them in
     the minutes before, and an open lid neither spoils them nor counts against them."""
     window = read_run(incubator_folder, name)
@@ -94,7 +108,8 @@ def test_every_lid_is_reported_until_it_is_closed(incubator_folder: Path, name: 
     ):
         assert opened < alarm.flagged * PERIOD <= opened + 75
         assert alarm.last is not None
-        assert closed < alarm.last * PERIOD < later  # after the second of March the box heats as never before
+        # after the second of March the box heats as never before
+        assert closed < alarm.last * PERIOD < later
 
 
 # The traces one by one.
@@ -108,13 +123,20 @@ STILL = Movement(0.0, 0.0, 0.0)
 def test_the_share_is_what_the_plate_shows_of_the_drive() -> None:
     effect = Effect(1.0, NOISE)
     for _ in range(20):
-        effect.push(Movement(2.0, -1.0, -0.3), 0.05, earned=True)  # 0.3 of 2 °C are missing every second
+        # 0.3 of 2 °C are missing every second
+        effect.push(Movement(2.0, -1.0, -0.3), 0.05, earned=True)
     assert effect.share == pytest.approx(0.85)
     assert effect.follows
 
 
-@given(share=st.floats(-1.0, 2.0), drive=st.floats(1.0, 4.0), sign=st.sampled_from([-1.0, 1.0]))
-def test_any_share_is_found_in_heating_and_in_cooling(share: float, drive: float, sign: float) -> None:
+@given(
+    share=st.floats(-1.0, 2.0),
+    drive=st.floats(1.0, 4.0),
+    sign=st.sampled_from([-1.0, 1.0]),
+)
+def test_any_share_is_found_in_heating_and_in_cooling(
+    share: float, drive: float, sign: float
+) -> None:
     effect = Effect(1.0, NOISE)
     for k in range(24):
         # It comes on as a drive does that the controller turns up, so that no step looks like the camera's.
@@ -177,7 +199,8 @@ def test_ten_equal_readings_of_a_noisy_camera_are_not_a_coincidence() -> None:
 def test_a_coarse_camera_may_repeat_itself() -> None:
     random = np.random.default_rng(8)
     repeats = Repeats(1.0, 10.0, NOISE)
-    readings = np.round(random.normal(40.0, 0.1, 3000) * 2) / 2  # half a degree: nearly always the same
+    # half a degree: nearly always the same
+    readings = np.round(random.normal(40.0, 0.1, 3000) * 2) / 2
     longest = 0
     for change in np.diff(readings):
         repeats.push(float(change), STILL)

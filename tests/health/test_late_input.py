@@ -23,7 +23,10 @@ def kit(delay: int, seed: int, size: int = 480, lost: int = 1_000_000) -> list[S
     """A kit under steps of its heater, which acts `delay` samples late; one within 15 % of the typical."""
     random = np.random.default_rng(seed)
     typical = TCLab.model("sensor lag").typical()
-    moved = {n: typical[n] * random.uniform(0.85, 1.15) for n in ("losses", "heating", "sensor_lag")}
+    moved = {
+        n: typical[n] * random.uniform(0.85, 1.15)
+        for n in ("losses", "heating", "sensor_lag")
+    }
     plant = typical.replace(**moved, ambient=random.uniform(291.0, 298.0))
     states = begin(plant, plant["ambient"] - 273.15)
     power = list[float]()
@@ -84,7 +87,9 @@ def test_a_heater_that_is_lost_is_still_reported(delay: int) -> None:
 def test_a_real_kit_whose_table_holds_the_input_early_is_not_accused(name: str) -> None:
     rows = kit_rows("tclab_other", name)
     samples = [
-        Sample(k, round(row["Time"] * 1e9), row["TSP1"], row["T1"], row["Q1"], (row["Q2"],))
+        Sample(
+            k, round(row["Time"] * 1e9), row["TSP1"], row["T1"], row["Q1"], (row["Q2"],)
+        )
         for k, row in enumerate(rows)
     ]
     assert alarms(samples) == ()
@@ -101,16 +106,26 @@ def test_later_inputs_are_delayed_or_lag_behind() -> None:
     """The lag of first order to a step has the closed form 1 - exp(-t / lag)."""
     step = np.repeat([0.0, 1.0], 30)
     late_versions = list(later_inputs(step, 40, 0.5))
-    onsets = [int(np.argmax(late)) for late in late_versions if set(late.tolist()) == {0.0, 1.0}]
-    assert onsets == [11, 12, 13, 14, 16]  # half a second to six seconds: rounded, and none twice
+    onsets = [
+        int(np.argmax(late))
+        for late in late_versions
+        if set(late.tolist()) == {0.0, 1.0}
+    ]
+    # half a second to six seconds: rounded, and none twice
+    assert onsets == [11, 12, 13, 14, 16]
     lags = [late for late in late_versions if set(late.tolist()) != {0.0, 1.0}]
     for lag, late in zip([0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 6.0], lags, strict=True):
-        np.testing.assert_allclose(late[10:], 1.0 - np.exp(-np.arange(1.0, 31.0) / lag), atol=1e-12)
+        np.testing.assert_allclose(
+            late[10:], 1.0 - np.exp(-np.arange(1.0, 31.0) / lag), atol=1e-12
+        )
         assert not late[:10].any()
 
 
 def test_an_input_at_rest_is_the_same_however_late() -> None:
-    assert all(np.array_equal(late, np.full(5, 7.0)) for late in later_inputs(np.full(9, 7.0), 5, 1.0))
+    assert all(
+        np.array_equal(late, np.full(5, 7.0))
+        for late in later_inputs(np.full(9, 7.0), 5, 1.0)
+    )
 
 
 def test_what_a_late_input_explains_is_not_a_change() -> None:
@@ -133,5 +148,10 @@ def test_a_jump_that_a_late_input_explains_is_plausible() -> None:
     settled = [refusals.settle(sample) for sample in plant.run(4300)]
     assert not any(sample.refused for sample in settled)
     last = settled[-1]
-    spike = replace(last, index=last.index + 1, stamp=last.stamp + 50_000_000, outputs=(last.output + 150.0,))
+    spike = replace(
+        last,
+        index=last.index + 1,
+        stamp=last.stamp + 50_000_000,
+        outputs=(last.output + 150.0,),
+    )
     assert refusals.settle(spike).refused == spike.outputs

@@ -49,11 +49,16 @@ def test_no_alarm_and_no_suspicion_in_a_healthy_hour(
 
 
 @pytest.mark.parametrize("number", [5, 14, 1])
-def test_no_alarm_whatever_twin_is_nominal(number: int, recorded_hour: Callable[[int], Window]) -> None:
-    half = samples_of(recorded_hour(number))[: 300 * len(FOREIGN)]  # each twin is nominal once
+def test_no_alarm_whatever_twin_is_nominal(
+    number: int, recorded_hour: Callable[[int], Window]
+) -> None:
+    # each twin is nominal once
+    half = samples_of(recorded_hour(number))[: 300 * len(FOREIGN)]
     monitor = Monitor()
     for s in half:
-        nominal = None if s.index < 225 else FOREIGN[(s.index // 300 + number) % len(FOREIGN)]
+        nominal = (
+            None if s.index < 225 else FOREIGN[(s.index // 300 + number) % len(FOREIGN)]
+        )
         monitor.push(s, nominal)
     assert monitor.alarms == ()
 
@@ -67,14 +72,18 @@ def test_another_matched_twin_does_as_the_first_one(
     assert [a for a in monitor.alarms if a.fault is not Fault.DRIFT] == []
 
 
-def test_a_camera_late_at_the_start_accuses_nobody(recorded_hour: Callable[[int], Window]) -> None:
+def test_a_camera_late_at_the_start_accuses_nobody(
+    recorded_hour: Callable[[int], Window],
+) -> None:
     """Nobody has predicted this plant yet."""
     monitor, healths = rig.watch(samples_of(recorded_hour(1))[:1200])
     assert monitor.alarms == ()
     assert all(h.state is HealthState.HEALTHY for h in healths)
 
 
-def test_the_real_failure_is_reported_in_time_and_by_name(recorded_hour: Callable[[int], Window]) -> None:
+def test_the_real_failure_is_reported_in_time_and_by_name(
+    recorded_hour: Callable[[int], Window],
+) -> None:
     monitor, healths = rig.watch(samples_of(recorded_hour(27))[:2700])
     (alarm,) = monitor.alarms
     assert alarm.fault is Fault.DRIVE_LOST
@@ -86,7 +95,9 @@ def test_the_real_failure_is_reported_in_time_and_by_name(recorded_hour: Callabl
     assert monitor.fault_between(1560, 2155) is None
 
 
-def test_a_drive_that_was_dead_from_the_beginning_is_reported(recorded_hour: Callable[[int], Window]) -> None:
+def test_a_drive_that_was_dead_from_the_beginning_is_reported(
+    recorded_hour: Callable[[int], Window],
+) -> None:
     """An hour of full command, and the plate stays at 17 °C: nobody has predicted this plant, and what a lost
     drive leaves unexplained is not to pass for a rough balance."""
     (alarm,) = rig.watch(samples_of(recorded_hour(29))[:900])[0].alarms
@@ -106,7 +117,8 @@ def test_a_drive_that_was_dead_from_the_beginning_is_reported(recorded_hour: Cal
         (80.0, ("drive-lost", 500, 10), Fault.DRIVE_LOST, 10),
         (50.0, ("drive-lost", 500, 15), Fault.DRIVE_LOST, 15),
         (80.0, ("drive-lost", 210), Fault.DRIVE_LOST, 10),  # on the way up
-        (20.0, ("drive-lost", 205), Fault.DRIVE_LOST, 60),  # on the way down, where nothing is asked of it
+        # on the way down, where nothing is asked of it
+        (20.0, ("drive-lost", 205), Fault.DRIVE_LOST, 60),
         (80.0, ("supply*0.5", 500), Fault.DRIVE_WEAK, 40),
         (50.0, ("supply*0.5", 500), Fault.DRIVE_WEAK, 40),
         (60.0, ("sensor-frozen", 500), Fault.SENSOR_FROZEN, 12),
@@ -121,7 +133,9 @@ def test_a_drive_that_was_dead_from_the_beginning_is_reported(recorded_hour: Cal
 def test_a_failure_is_reported_in_time_and_by_name(
     level: float, broken: tuple[Any, ...], fault: Fault, within: int
 ) -> None:
-    monitor, healths = rig.watch(holding(level, rig.Break(*broken), broken[1] + within + 2))
+    monitor, healths = rig.watch(
+        holding(level, rig.Break(*broken), broken[1] + within + 2)
+    )
     assert monitor.alarms
     alarm = monitor.alarms[0]
     assert alarm.fault is fault
@@ -151,7 +165,9 @@ def test_what_is_repaired_is_healthy_again_and_stays_in_the_record(kind: str) ->
     assert monitor.fault_between(alarm.last + 200, alarm.last + 300) is None
 
 
-def test_healthy_steps_saturation_and_corrections_of_the_camera_are_not_faults() -> None:
+def test_healthy_steps_saturation_and_corrections_of_the_camera_are_not_faults() -> (
+    None
+):
     for seed in range(2):
         samples, _ = rig.run(rig.profile(seed, 900), rig=rig.some_rig(seed), seed=seed)
         assert max(abs(s.input) for s in samples) == 255.0
@@ -189,8 +205,11 @@ def test_a_slow_change_spoils_no_window() -> None:
 
 
 def test_a_nominal_twin_is_taken_where_the_own_one_is_rough() -> None:
-    plant = rig.RICH_RIG.replace(heat_capacity=80.0)  # a third of the heat the monitor's own twin would give
-    samples, _ = rig.run(rig.profile(1, 1240), rig.Break("drive-lost", 1200, 20), rig=plant, seed=1)
+    # a third of the heat the monitor's own twin would give
+    plant = rig.RICH_RIG.replace(heat_capacity=80.0)
+    samples, _ = rig.run(
+        rig.profile(1, 1240), rig.Break("drive-lost", 1200, 20), rig=plant, seed=1
+    )
     alone, _ = rig.watch(samples)
     assert alone.alarms == ()  # a twin that is so far off accuses nobody
     helped, _ = rig.watch(samples, plant)
@@ -211,7 +230,9 @@ def test_an_impossible_reading_is_reported_at_once(value: float) -> None:
 
 
 @pytest.mark.parametrize("reported", [True, False])
-def test_what_a_held_drive_does_not_do_is_not_evidence_against_it(reported: bool) -> None:
+def test_what_a_held_drive_does_not_do_is_not_evidence_against_it(
+    reported: bool,
+) -> None:
     """The output was zero because the guard put it there, and the controller's samples say so."""
     reference = np.repeat([40.0, 70.0, 45.0], 250)
     held_range = range(260, 420)
@@ -227,7 +248,9 @@ def test_what_a_held_drive_does_not_do_is_not_evidence_against_it(reported: bool
         samples.append(sample)
         states = advance(RIG(), states, 0.0 if k in held_range else sample.input, 1.0)
     monitor, _ = rig.watch(samples)
-    assert [alarm.fault for alarm in monitor.alarms] == ([] if reported else [Fault.DRIVE_LOST])
+    assert [alarm.fault for alarm in monitor.alarms] == (
+        [] if reported else [Fault.DRIVE_LOST]
+    )
 
 
 def test_a_gap_starts_over_and_a_new_session_has_a_new_record() -> None:
@@ -254,7 +277,9 @@ def test_a_time_in_which_nobody_looked_is_not_evidence(counted: bool) -> None:
     whole = stamped(holding(70.0, rig.Break("drive-lost", 400, 30)))
     seen_samples = [s for s in whole if not 400 <= s.index < 430]
     if not counted:
-        seen_samples = [dataclasses.replace(s, index=k) for k, s in enumerate(seen_samples)]
+        seen_samples = [
+            dataclasses.replace(s, index=k) for k, s in enumerate(seen_samples)
+        ]
     monitor, healths = rig.watch(seen_samples)
     assert monitor.alarms == ()
     assert healths[-1].state is HealthState.HEALTHY
@@ -264,7 +289,10 @@ def test_a_time_in_which_nobody_looked_is_not_evidence(counted: bool) -> None:
 
 def test_late_ticks_are_not_a_gap() -> None:
     samples = stamped(holding(70.0, None))
-    late = [dataclasses.replace(s, stamp=s.stamp + (s.index % 7 == 0) * 900_000_000) for s in samples]
+    late = [
+        dataclasses.replace(s, stamp=s.stamp + (s.index % 7 == 0) * 900_000_000)
+        for s in samples
+    ]
     assert [h.share for h in rig.watch(late)[1]] == pytest.approx(
         [h.share for h in rig.watch(samples)[1]], nan_ok=True
     )
@@ -272,7 +300,9 @@ def test_late_ticks_are_not_a_gap() -> None:
 
 def test_the_same_samples_give_the_same_judgements() -> None:
     samples = holding(60.0, rig.Break("drive-lost", 300, 30), 500)
-    assert repr(rig.watch(samples, FOREIGN[2])[1]) == repr(rig.watch(samples, FOREIGN[2])[1])
+    assert repr(rig.watch(samples, FOREIGN[2])[1]) == repr(
+        rig.watch(samples, FOREIGN[2])[1]
+    )
 
 
 def test_a_loop_twice_as_fast_is_watched_as_well() -> None:

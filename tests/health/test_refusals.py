@@ -6,7 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from twinmatch.dynamics import Drive, Equations, Output, Parameter, Plant, State, Structure
+from twinmatch.dynamics import (
+    Drive,
+    Equations,
+    Output,
+    Parameter,
+    Plant,
+    State,
+    Structure,
+)
 from twinmatch.health import Fault, HealthSettings, HealthState, Monitor, Refusals
 from twinmatch.health.refusals import UsualSteps
 from twinmatch.signals import Sample
@@ -24,12 +32,16 @@ class Spring(Plant, name="spring-of-refusals"):
     speed = State(unit="V/s", span=(-300.0, 300.0), scale=20.0)
     stiff = Parameter(unit="1/s²", default=192000.0, bounds=(3e4, 6e5), positive=True)
     damp = Parameter(unit="1/s", default=42.0, bounds=(1.0, 300.0), positive=True)
-    structures = {"linear": Structure(free=("stiff", "damp"))}  # noqa: RUF012 (a constant mapping)
+    structures = {"linear": Structure(free=("stiff", "damp"))}  # noqa: RUF012
 
-    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002 (there is one structure)
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
         force = 185000.0 * self.volts - self.stiff * self.place - self.damp * self.speed
         start = {self.place: self.out, self.speed: 0}
-        return Equations(rates={self.place: self.speed, self.speed: force}, output=self.place, start=start)
+        return Equations(
+            rates={self.place: self.speed, self.speed: force},
+            output=self.place,
+            start=start,
+        )
 
 
 def stiffening(size: int) -> list[Sample]:
@@ -45,9 +57,16 @@ def stiffening(size: int) -> list[Sample]:
     samples = []
     for k in range(size):
         read = place + 3e-4 * random.standard_normal()
-        samples.append(Sample(k, round(k * PERIOD * 1e9), 0.0, read, float(force[k * parts])))
+        samples.append(
+            Sample(k, round(k * PERIOD * 1e9), 0.0, read, float(force[k * parts]))
+        )
         for part in range(parts):
-            pull = 185000.0 * force[k * parts + part] - 192000.0 * place - 42.0 * speed - 7e5 * place**3
+            pull = (
+                185000.0 * force[k * parts + part]
+                - 192000.0 * place
+                - 42.0 * speed
+                - 7e5 * place**3
+            )
             speed += pull * PERIOD / parts
             place += speed * PERIOD / parts
     return samples
@@ -59,12 +78,21 @@ def test_steps_that_recur_and_continue_are_the_plants() -> None:
     samples = stiffening(3000)
     settled = [refusals.settle(sample) for sample in samples]
     refused = [sample.index for sample in settled if not sample.seen]
-    assert refused, "the twin holds each force for a sample, so some steps are more than it expects"
+    assert refused, (
+        "the twin holds each force for a sample, so some steps are more than it expects"
+    )
     assert refusals.steps.recur
     assert max(refused) < 300
     # What no reading has ever done is refused as before.
-    reading = samples[-1].output - 3.0 * refusals.steps.usual * np.sign(samples[-1].output)
-    far = replace(samples[-1], index=3000, stamp=round(3000 * PERIOD * 1e9), outputs=(float(reading),))
+    reading = samples[-1].output - 3.0 * refusals.steps.usual * np.sign(
+        samples[-1].output
+    )
+    far = replace(
+        samples[-1],
+        index=3000,
+        stamp=round(3000 * PERIOD * 1e9),
+        outputs=(float(reading),),
+    )
     assert not refusals.settle(far).seen
 
 
@@ -111,6 +139,8 @@ def test_a_fault_of_impossible_readings_is_taken_back_with_a_sentence() -> None:
         health = monitor.push(sample)
         if k == 73:
             assert health.news is not None
-            assert health.news.withdrawn.startswith("sensor-implausible is taken back: steps of the ")
+            assert health.news.withdrawn.startswith(
+                "sensor-implausible is taken back: steps of the "
+            )
     assert health is not None
     assert health.state is HealthState.HEALTHY

@@ -26,7 +26,9 @@ START = begin(KIT, 69.0)
 ROWS = np.tile(KIT.model.disturbances, (SIZE, 1))
 
 
-def readings(cause: Cause, onset: int, size: float, commands: FloatArray, seed: int) -> FloatArray:
+def readings(
+    cause: Cause, onset: int, size: float, commands: FloatArray, seed: int
+) -> FloatArray:
     """Of a kit to which this happens at the onset, under a given input."""
     after = np.arange(SIZE) >= onset
     acts = np.where(after & (cause is Cause.DRIVE), 0.0, commands)
@@ -46,7 +48,9 @@ def test_what_has_happened_explains_the_readings_best(cause: Cause) -> None:
         draw = np.random.default_rng(seed)
         onset = int(draw.integers(8, 30))
         size = float(draw.choice([-1.0, 1.0]))
-        commands = np.where(np.arange(SIZE) < STEP, 60.0, float(draw.choice([85.0, 95.0])))
+        commands = np.where(
+            np.arange(SIZE) < STEP, 60.0, float(draw.choice([85.0, 95.0]))
+        )
         came = readings(cause, onset, size, commands, seed)
         effects = effects_of_causes(KIT, START, commands, came, rows=ROWS, period=1.0)
         costs = costs_of_causes(effects, slow_error=seed % 2 == 0)
@@ -75,20 +79,26 @@ ENDS = 1650
 
 def watch(samples: list[Sample]) -> Monitor:
     """A monitor that has seen a kit; what runs have in common until something happens is judged once."""
-    return watched("kit", lambda: Watched(Monitor(HealthSettings.of(TCLab))), samples).monitor
+    return watched(
+        "kit", lambda: Watched(Monitor(HealthSettings.of(TCLab))), samples
+    ).monitor
 
 
 def alarms(mishap: str, seed: int) -> tuple[list[Alarm], list[Alarm]]:
     """Of a kit in its loop to which something happens: those meanwhile, and those after it."""
     when = Mishap(mishap, BEGINS, ENDS)
-    plant = AbroadPlant(KINDS["kit"], seed, (), (150.0, 400.0), closed=True, mishap=when)
+    plant = AbroadPlant(
+        KINDS["kit"], seed, (), (150.0, 400.0), closed=True, mishap=when
+    )
     monitor = watch(list(plant.run(when.stop + 100)))
     return [a for a in monitor.alarms if when.start <= a.flagged < when.stop], [
         a for a in monitor.alarms if a.flagged >= when.stop
     ]
 
 
-def test_a_shifted_sensor_is_named_in_a_loop_that_follows_it_and_until_it_is_back() -> None:
+def test_a_shifted_sensor_is_named_in_a_loop_that_follows_it_and_until_it_is_back() -> (
+    None
+):
     """3 °C in one reading; the controller cools the heater until the reading is back at the set-point."""
     [shifted], after = alarms("reading+3", 0)
     assert shifted.fault.value == "sensor-drift"
@@ -113,8 +123,12 @@ def test_heat_from_elsewhere_is_a_disturbance_once_it_has_ceased() -> None:
     assert not after
 
 
-@pytest.mark.parametrize(("mishap", "name"), [("losses*2.5", "losses-changed"), ("drive*0.62", "drive-weak")])
-def test_what_readings_cannot_tell_apart_gets_no_wrong_name(mishap: str, name: str) -> None:
+@pytest.mark.parametrize(
+    ("mishap", "name"), [("losses*2.5", "losses-changed"), ("drive*0.62", "drive-weak")]
+)
+def test_what_readings_cannot_tell_apart_gets_no_wrong_name(
+    mishap: str, name: str
+) -> None:
     """In a loop that holds its level, more losses and less drive are the same but for the first minute."""
     during, _ = alarms(mishap, 0)
     assert during
@@ -123,12 +137,17 @@ def test_what_readings_cannot_tell_apart_gets_no_wrong_name(mishap: str, name: s
 
 def test_a_lost_drive_has_no_freedom_and_shows_sooner() -> None:
     """A tracker with that hypothesis, and its rivals: heat from elsewhere, for good or for a while."""
-    asked = ChangeDetector(HealthSettings.of(TCLab).followed, 1.0, steps=True).hypotheses
+    asked = ChangeDetector(
+        HealthSettings.of(TCLab).followed, 1.0, steps=True
+    ).hypotheses
     [lost] = [h for h in asked if h.fault is Fault.DRIVE_LOST]
     [share] = [h for h in asked if h.fault is Fault.DRIVE_WEAK and not h.slowly]
     assert (lost.index, lost.shift) == (share.index, -1.0)
     assert lost.spread < share.spread
-    assert [h.fault for h in asked if h.vague] == [Fault.ROOM_CHANGED, Fault.DISTURBANCE]
+    assert [h.fault for h in asked if h.vague] == [
+        Fault.ROOM_CHANGED,
+        Fault.DISTURBANCE,
+    ]
     prompt = ChangeDetector(HealthSettings().followed, 1.0).hypotheses
     assert Fault.DRIVE_LOST not in {h.fault for h in prompt}
 
@@ -144,7 +163,9 @@ def test_what_is_known_of_a_shift_is_taken_off_the_readings() -> None:
 
 
 @pytest.mark.parametrize(("kind", "named"), [("kit", False), ("rig", True)])
-def test_readings_that_creep_are_doubted_until_they_step_back(kind: str, named: bool) -> None:
+def test_readings_that_creep_are_doubted_until_they_step_back(
+    kind: str, named: bool
+) -> None:
     """6 °C within five minutes; on a kit a warmer room explains that as well, on this rig nothing does."""
     seed = 2 * named
     rig_kind = KINDS[kind]

@@ -78,11 +78,14 @@ def test_only_a_movement_that_stays_is_a_jump() -> None:
 
 
 def forecast(error: float, standing: float, ahead: int = 3) -> ScoredForecast:
-    return ScoredForecast(0, ahead, 1.0, np.array([error**2, 0.0]), np.array([standing**2, 0.0]))
+    return ScoredForecast(
+        0, ahead, 1.0, np.array([error**2, 0.0]), np.array([standing**2, 0.0])
+    )
 
 
 @pytest.mark.parametrize(
-    ("error", "standing", "knows"), [(1.0, 2.0, True), (3.0, 2.0, True), (4.5, 2.0, False), (0.5, 0.0, True)]
+    ("error", "standing", "knows"),
+    [(1.0, 2.0, True), (3.0, 2.0, True), (4.5, 2.0, False), (0.5, 0.0, True)],
 )
 def test_equations_that_err_twice_as_far_as_a_reading_that_stands_know_nothing(
     error: float, standing: float, knows: bool

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from tests.support.watched import copied
-from twinmatch.dynamics import Drive, Equations, Output, Parameter, Plant, State, Structure
+from twinmatch.dynamics import (
+    Drive,
+    Equations,
+    Output,
+    Parameter,
+    Plant,
+    State,
+    Structure,
+)
 from twinmatch.health import Fault
 from twinmatch.health.channels import ChannelMonitor
 from twinmatch.health.faults import EVERY
@@ -35,15 +43,24 @@ class Zones(Plant, name="three_zones"):
     x3 = State(unit="°C", span=(0.0, 300.0))
     gain = Parameter(unit="K/%", default=1.0, bounds=(0.1, 5.0), positive=True)
     lag = Parameter(unit="s", default=LAG, bounds=(10.0, 1000.0), positive=True)
-    room = Parameter(unit="°C", default=20.0, bounds=(-20.0, 50.0), role="room", scale=5.0, text="the room")
+    room = Parameter(
+        unit="°C",
+        default=20.0,
+        bounds=(-20.0, 50.0),
+        role="room",
+        scale=5.0,
+        text="the room",
+    )
     structures = {"zones": Structure(free=("gain", "lag", "room"))}  # noqa: RUF012
 
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
         """Each zone follows its heater, and a quarter of the one before."""
         rates = {
             self.x1: (self.room + self.gain * self.one - self.x1) / self.lag,
-            self.x2: (self.room + self.gain * (self.two + 0.25 * self.one) - self.x2) / self.lag,
-            self.x3: (self.room + self.gain * (self.three + 0.25 * self.two) - self.x3) / self.lag,
+            self.x2: (self.room + self.gain * (self.two + 0.25 * self.one) - self.x2)
+            / self.lag,
+            self.x3: (self.room + self.gain * (self.three + 0.25 * self.two) - self.x3)
+            / self.lag,
         }
         start = {self.x1: self.first, self.x2: self.second, self.x3: self.third}
         outputs = {self.first: self.x1, self.second: self.x2, self.third: self.x3}
@@ -82,10 +99,14 @@ def healthy() -> ChannelMonitor:
 def test_a_supply_is_that_of_all_drives() -> None:
     shared = [row for row in rows_of(Zones.model()) if row.cause[1] == EVERY]
     assert shared
-    assert {(row.number, *row.also) for row in shared} == {("share 0", "share 1", "share 2")}
+    assert {(row.number, *row.also) for row in shared} == {
+        ("share 0", "share 1", "share 2")
+    }
 
 
-def test_a_supply_that_is_lost_is_named_with_all_that_hangs_on_it(healthy: ChannelMonitor) -> None:
+def test_a_supply_that_is_lost_is_named_with_all_that_hangs_on_it(
+    healthy: ChannelMonitor,
+) -> None:
     monitor = copied(healthy)
     for sample in readings(KNOWN + 60, arrives=0.0):
         if sample.index >= KNOWN:
@@ -97,7 +118,9 @@ def test_a_supply_that_is_lost_is_named_with_all_that_hangs_on_it(healthy: Chann
     )
 
 
-def test_something_unknown_that_leads_alone_is_reported(healthy: ChannelMonitor) -> None:
+def test_something_unknown_that_leads_alone_is_reported(
+    healthy: ChannelMonitor,
+) -> None:
     """Heat from elsewhere that begins at once in zone 2, and flows on to zone 3 as that of heater 2 does."""
     monitor = copied(healthy)
     for sample in readings(KNOWN + 400, push=20.0):
@@ -105,4 +128,6 @@ def test_something_unknown_that_leads_alone_is_reported(healthy: ChannelMonitor)
             monitor.push(sample)
     (alarm,) = monitor.alarms
     assert alarm.fault is Fault.DRIFT
-    assert alarm.reason.startswith("the plant behaves as if something that acts as heater 2 does had begun")
+    assert alarm.reason.startswith(
+        "the plant behaves as if something that acts as heater 2 does had begun"
+    )

@@ -44,7 +44,10 @@ def calibrated(samples: list[Sample]) -> TrackRecord:
 def late(samples: list[Sample], seconds: int) -> list[Sample]:
     """The same plant, its input recorded so much too early."""
     inputs = [s.input for s in samples[seconds:]]
-    return [Sample(s.index, s.stamp, s.reference, s.output, u) for s, u in zip(samples, inputs)]  # noqa: B905
+    return [
+        Sample(s.index, s.stamp, s.reference, s.output, u)
+        for s, u in zip(samples, inputs, strict=False)
+    ]
 
 
 @cache
@@ -57,7 +60,8 @@ def record_of_a_rig_that_acts_late(seconds: int) -> TrackRecord:
 def test_a_plant_that_its_equations_describe_is_predicted_as_expected() -> None:
     record = record_of_a_rig_that_acts_late(0)
     assert record.earned
-    assert record.dispersion < 1.3  # 130 forecasts that overlap: some 30 independent ones
+    # 130 forecasts that overlap: some 30 independent ones
+    assert record.dispersion < 1.3
 
 
 def test_evidence_on_a_plant_that_acts_late_is_worth_less() -> None:
@@ -77,8 +81,12 @@ def test_a_plant_at_rest_proves_nothing() -> None:
 squares = st.floats(0.0, 10.0)
 
 
-@given(st.lists(st.tuples(squares, squares), min_size=1, max_size=20), st.floats(0.1, 10.0))
-def test_what_is_earned_depends_on_no_unit(forecasts: list[tuple[float, float]], unit: float) -> None:
+@given(
+    st.lists(st.tuples(squares, squares), min_size=1, max_size=20), st.floats(0.1, 10.0)
+)
+def test_what_is_earned_depends_on_no_unit(
+    forecasts: list[tuple[float, float]], unit: float
+) -> None:
     plain = scaled = Record()
     for error, moved in forecasts:
         plain = plain.after(error, moved)
@@ -111,9 +119,17 @@ def test_lengths_of_whole_numbers_are_those_of_a_code() -> None:
 
 @pytest.mark.parametrize(
     ("name", "seed", "size"),
-    [("motor", 0, 3600), ("motor", 1, 3600), ("tanks", 1, 400), ("tanks", 8, 400), ("kit", 8, 1200)],
+    [
+        ("motor", 0, 3600),
+        ("motor", 1, 3600),
+        ("tanks", 1, 400),
+        ("tanks", 8, 400),
+        ("kit", 8, 1200),
+    ],
 )
-def test_a_plant_with_more_than_its_file_has_is_not_accused(name: str, seed: int, size: int) -> None:
+def test_a_plant_with_more_than_its_file_has_is_not_accused(
+    name: str, seed: int, size: int
+) -> None:
     """Coarse displays, loads, dead bands, lags: each of these was called broken before."""
     kind = KINDS[name]
     samples = list(AbroadPlant(kind, seed).run(size))
@@ -124,7 +140,8 @@ def test_a_plant_with_more_than_its_file_has_is_not_accused(name: str, seed: int
 def test_a_kit_whose_second_heater_no_equation_has_is_not_accused(name: str) -> None:
     rows = kit_rows("tclab_2x2", name)[:1200]
     samples = [
-        Sample(k, k * 1_000_000_000, r["T1"], r["T1"], r["Q1"], (r["Q2"],)) for k, r in enumerate(rows)
+        Sample(k, k * 1_000_000_000, r["T1"], r["T1"], r["Q1"], (r["Q2"],))
+        for k, r in enumerate(rows)
     ]
     assert alarms(samples, HealthSettings.of(TCLab, 1.0)) == ()
 
@@ -145,13 +162,21 @@ def test_as_long_as_nobody_has_predicted_the_plant_the_monitor_says_so() -> None
     assert monitor.reservation == ""
 
 
-@pytest.mark.parametrize(("kind", "latest"), [("drive-lost", 20), ("supply*0.5", 20), ("supply*0.62", 20)])
+@pytest.mark.parametrize(
+    ("kind", "latest"), [("drive-lost", 20), ("supply*0.5", 20), ("supply*0.62", 20)]
+)
 def test_a_fault_of_the_drive_is_over_when_it_is_over(kind: str, latest: int) -> None:
     """No sooner: at six tenths of its supply the drive still follows; no later: at rest it shows little."""
     reference = np.concatenate([np.full(200, 40.0), np.full(700, 60.0)])
     for seed in (4, 5):
-        monitor, _ = rig.watch(rig.run(reference, rig.Break(kind, 400, 200), seed=seed)[0][:760])
-        ends = [a.last for a in monitor.alarms if a.fault in {Fault.DRIVE_LOST, Fault.DRIVE_WEAK}]
+        monitor, _ = rig.watch(
+            rig.run(reference, rig.Break(kind, 400, 200), seed=seed)[0][:760]
+        )
+        ends = [
+            a.last
+            for a in monitor.alarms
+            if a.fault in {Fault.DRIVE_LOST, Fault.DRIVE_WEAK}
+        ]
         assert ends
         assert ends[-1] is not None
         assert 598 <= ends[-1] <= 600 + latest
@@ -162,7 +187,9 @@ def test_equations_that_leave_their_range_end_nothing() -> None:
     tracker = Tracker(Peltier.model().typical(), 1.0, (1.0,))
     belief = tracker.begin(60.0, 0.0, np.zeros(0), 0)
     belief.values[0] = 1e200
-    readings = Readings(np.full(12, 60.0), np.full(10, 100.0), np.zeros((10, 0)), np.full(10, 0.1))
+    readings = Readings(
+        np.full(12, 60.0), np.full(10, 100.0), np.zeros((10, 0)), np.full(10, 0.1)
+    )
     after, cost = tracker.run(belief, readings, 0)
     assert np.isfinite(after.values).all()
     assert np.isfinite(after.covariance).all()
@@ -173,7 +200,9 @@ def test_what_another_twin_expected_is_forgotten_with_it() -> None:
     """A motor's first twin expects forty times what a better one does: its sums would be a lost drive."""
     kind = KINDS["motor"]
     plant = AbroadPlant(kind, 704)
-    better = kind.plant.model("with friction").parameters(k=0.0384, j=3.1e-4, b=9e-5, dry=0.0116)
+    better = kind.plant.model("with friction").parameters(
+        k=0.0384, j=3.1e-4, b=9e-5, dry=0.0116
+    )
     monitor = Monitor(HealthSettings.of(kind.plant, kind.period))
     for sample in plant.run(2300):
         monitor.push(sample, better if sample.index > 1750 else None)

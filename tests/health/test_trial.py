@@ -31,7 +31,9 @@ OPEN = range(round(6.5 * DAY), round(6.8 * DAY))
 
 
 def bounded(default: float, role: str = "") -> Parameter:
-    return Parameter(default=default, bounds=(default / 50, default * 50), positive=True, role=role)
+    return Parameter(
+        default=default, bounds=(default / 50, default * 50), positive=True, role=role
+    )
 
 
 class RoomOnTrial(Plant, name="room_on_trial"):
@@ -52,7 +54,8 @@ class RoomOnTrial(Plant, name="room_on_trial"):
     structures = {  # noqa: RUF012
         "air": Structure(free=("capacity", "losses")),
         "air and walls": Structure(
-            free=("capacity", "losses", "mass", "surface", "shell"), parts=frozenset({"walls"})
+            free=("capacity", "losses", "mass", "surface", "shell"),
+            parts=frozenset({"walls"}),
         ),
     }
 
@@ -60,7 +63,10 @@ class RoomOnTrial(Plant, name="room_on_trial"):
         """Heat goes from the radiator to the air, from there to the walls, and outdoors."""
         to_walls = self.surface * (self.air - self.wall) if "walls" in parts else 0.0
         rates = {
-            self.air: (self.radiator - self.losses * (self.air - self.outside) - to_walls) / self.capacity,
+            self.air: (
+                self.radiator - self.losses * (self.air - self.outside) - to_walls
+            )
+            / self.capacity,
             self.wall: (to_walls - self.shell * (self.wall - self.outside)) / self.mass,
         }
         states = [self.air, self.wall] if "walls" in parts else [self.air]
@@ -89,17 +95,33 @@ def week(*, opened: bool, stuck: range = range(0)) -> list[Sample]:
     samples = list[Sample]()
     for k in range(7 * DAY):
         hour = k * 24 / DAY % 24
-        outdoor = 5.0 + 5.0 * math.sin(2 * math.pi * (hour - 9) / 24) + 3.0 * math.sin(2 * math.pi * k / 700)
-        reading = samples[-1].output if k in stuck else round(states[0] + random.normal(0.0, 0.05), 2)
+        outdoor = (
+            5.0
+            + 5.0 * math.sin(2 * math.pi * (hour - 9) / 24)
+            + 3.0 * math.sin(2 * math.pi * k / 700)
+        )
+        reading = (
+            samples[-1].output
+            if k in stuck
+            else round(states[0] + random.normal(0.0, 0.05), 2)
+        )
         wanted = 21.0 if 6 <= hour < 22 else 17.0
         heats = reading < wanted + (0.3 if heats else -0.3)
-        samples.append(Sample(k, round(k * PERIOD * 1e9), wanted, reading, 1200.0 * heats, (outdoor,)))
+        samples.append(
+            Sample(
+                k, round(k * PERIOD * 1e9), wanted, reading, 1200.0 * heats, (outdoor,)
+            )
+        )
         parameters = TRUTH.replace(losses=72.0) if opened and k in OPEN else TRUTH
-        states = advance(parameters, states, samples[-1].input, PERIOD, np.array([outdoor]))
+        states = advance(
+            parameters, states, samples[-1].input, PERIOD, np.array([outdoor])
+        )
     return samples
 
 
-def judged(samples: Iterable[Sample], *given: tuple[int, Parameters]) -> tuple[Monitor, list[Health]]:
+def judged(
+    samples: Iterable[Sample], *given: tuple[int, Parameters]
+) -> tuple[Monitor, list[Health]]:
     """What a monitor says that is given twins, each from a sample on."""
     monitor = Monitor(HealthSettings.of(RoomOnTrial, PERIOD))
     twins = dict(given)

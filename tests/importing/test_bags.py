@@ -16,7 +16,9 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-pytest.importorskip("rosbags", reason="rosbags is not installed; it is in the extra 'bags'")
+pytest.importorskip(
+    "rosbags", reason="rosbags is not installed; it is in the extra 'bags'"
+)
 
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
@@ -40,11 +42,20 @@ from twinmatch.sessions import read_session
 from twinmatch.sessions.files import RecordingError
 
 STORE.register(get_types_from_msg("float32 value\nstring name", "lab_msgs/msg/Reading"))
-STORE.register(get_types_from_msg("std_msgs/Header header\nReading[] readings", "lab_msgs/msg/Rack"))
+STORE.register(
+    get_types_from_msg(
+        "std_msgs/Header header\nReading[] readings", "lab_msgs/msg/Rack"
+    )
+)
 BOTH = (StoragePlugin.MCAP, StoragePlugin.SQLITE3)
 TICKS = 60
 PERIOD = 0.5
-MAP = ["output=/rack:readings[1].value", "input=/heater", "reference=/sp:data", "room=/room:temperature"]
+MAP = [
+    "output=/rack:readings[1].value",
+    "input=/heater",
+    "reference=/sp:data",
+    "room=/room:temperature",
+]
 
 
 def rack(seconds: float, value: float) -> Any:
@@ -53,7 +64,9 @@ def rack(seconds: float, value: float) -> Any:
     return STORE.types["lab_msgs/msg/Rack"](header=header(seconds), readings=readings)
 
 
-def messages(ticks: int = TICKS, hole: tuple[int, int] = (0, 0)) -> list[tuple[float, str, Any]]:
+def messages(
+    ticks: int = TICKS, hole: tuple[int, int] = (0, 0)
+) -> list[tuple[float, str, Any]]:
     """A rig: readings on a clock, commands where it changes, a set-point once, the room every few seconds."""
     timed_messages = [(-0.2, "/sp", number(40.0)), (-0.1, "/heater", number(10.0))]
     for k in range(ticks):
@@ -63,8 +76,12 @@ def messages(ticks: int = TICKS, hole: tuple[int, int] = (0, 0)) -> list[tuple[f
         if k % 10 == 5:
             timed_messages.append(((k + 0.25) * PERIOD, "/heater", number(10.0 + k)))
         if k % 6 == 0:
-            timed_messages.append((k * PERIOD, "/room", temperature(k * PERIOD, 18.0 + 0.1 * k)))
-    timed_messages.append((ticks * PERIOD, "/said", STORE.types["std_msgs/msg/String"](data="done")))
+            timed_messages.append(
+                (k * PERIOD, "/room", temperature(k * PERIOD, 18.0 + 0.1 * k))
+            )
+    timed_messages.append(
+        (ticks * PERIOD, "/said", STORE.types["std_msgs/msg/String"](data="done"))
+    )
     return timed_messages
 
 
@@ -80,7 +97,9 @@ def stored(folder: Path) -> Path:
 def read(path: Path, *channels: Channel) -> tuple[list[list[float]], list[str]]:
     """The numbers of channels, and what is said of the bag."""
     with open_bag(path) as opened:
-        return [series.values.tolist() for series in opened.series(channels or [RACK])], opened.notes
+        return [
+            series.values.tolist() for series in opened.series(channels or [RACK])
+        ], opened.notes
 
 
 def listed(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
@@ -106,7 +125,9 @@ def test_a_bag_of_either_storage_becomes_a_session(
     tmp_path: Path, plant: Path, storage: StoragePlugin
 ) -> None:
     source = bag(tmp_path / "bag", storage, messages())
-    process = run_twinmatch("import", source, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session")
+    process = run_twinmatch(
+        "import", source, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session"
+    )
     assert process.returncode == 0, process.stderr
     session = read_session(tmp_path / "session")
     samples = session.samples
@@ -115,7 +136,9 @@ def test_a_bag_of_either_storage_becomes_a_session(
     assert {s.reference for s in samples} == {40.0}
     assert samples[0].stamp == START * 10**9  # by the header, not by the bag
     # The room every third second, in a line between, and standing after the last.
-    assert [s.disturbances[0] for s in samples[:55]] == pytest.approx([18.0 + 0.1 * k for k in range(55)])
+    assert [s.disturbances[0] for s in samples[:55]] == pytest.approx(
+        [18.0 + 0.1 * k for k in range(55)]
+    )
     # Commands have no header: the bag's time, 30 ms late.
     part = 0.25 + 0.03 / PERIOD
     assert samples[4].input == 10.0
@@ -123,41 +146,72 @@ def test_a_bag_of_either_storage_becomes_a_session(
     assert samples[6].input == pytest.approx(15.0, abs=1e-9)
 
 
-def test_a_bag_of_two_loops_has_a_row_for_each_reading_of_the_first_output(tmp_path: Path) -> None:
+def test_a_bag_of_two_loops_has_a_row_for_each_reading_of_the_first_output(
+    tmp_path: Path,
+) -> None:
     """The second sensor begins three readings later and is read between those of the first; one of the
     commands comes with every reading, the other when it changes."""
-    timed_messages = [(-0.2, "/sp", number(40.0)), (-0.2, "/sp2", number(50.0)), (-0.1, "/q2", number(7.0))]
+    timed_messages = [
+        (-0.2, "/sp", number(40.0)),
+        (-0.2, "/sp2", number(50.0)),
+        (-0.1, "/q2", number(7.0)),
+    ]
     for k in range(TICKS):
         timed_messages += [
             (k * PERIOD, "/one", temperature(k * PERIOD, 20.0 + k)),
             (k * PERIOD, "/q1", number(1.0 + k)),
         ]
         if k >= 3:
-            timed_messages.append(((k + 0.5) * PERIOD, "/two", temperature((k + 0.5) * PERIOD, 90.0 - k)))
+            timed_messages.append(
+                ((k + 0.5) * PERIOD, "/two", temperature((k + 0.5) * PERIOD, 90.0 - k))
+            )
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, timed_messages)
-    entries = ["output.1=/one:temperature", "second=/two:temperature", "first_power=/q1", "input.2=/q2"]
+    entries = [
+        "output.1=/one:temperature",
+        "second=/two:temperature",
+        "first_power=/q1",
+        "input.2=/q2",
+    ]
     closed = [*entries, "reference.1=/sp", "second_reference=/sp2"]
     run = map_bag(source, parse_map(closed), Heaters)
     assert run.has_reference
     assert [s.outputs[0] for s in run.samples] == [20.0 + k for k in range(4, TICKS)]
-    assert [s.outputs[1] for s in run.samples[:-1]] == pytest.approx([90.5 - k for k in range(4, TICKS - 1)])
+    assert [s.outputs[1] for s in run.samples[:-1]] == pytest.approx(
+        [90.5 - k for k in range(4, TICKS - 1)]
+    )
     assert {(s.references, s.inputs[1]) for s in run.samples} == {((40.0, 50.0), 7.0)}
     # The bag's time, 30 ms late: so long the command before still acts.
     late = 0.03 / PERIOD
-    assert [s.inputs[0] for s in run.samples] == pytest.approx([1.0 + k - late for k in range(4, TICKS)])
-    assert (
-        f"Of {TICKS} messages of first, {TICKS - 4} are used (left out: 4 before the first" in run.notes[-1]
+    assert [s.inputs[0] for s in run.samples] == pytest.approx(
+        [1.0 + k - late for k in range(4, TICKS)]
     )
-    with pytest.raises(RecordingError, match="no topic is mapped to second; add --map second=TOPIC:FIELD"):
+    assert (
+        f"Of {TICKS} messages of first, {TICKS - 4} are used (left out: 4 before the first"
+        in run.notes[-1]
+    )
+    with pytest.raises(
+        RecordingError,
+        match="no topic is mapped to second; add --map second=TOPIC:FIELD",
+    ):
         map_bag(source, parse_map([entries[0], *entries[2:]]), Heaters)
-    with pytest.raises(RecordingError, match=r"second and output.2 are the same signal; give it once"):
+    with pytest.raises(
+        RecordingError, match=r"second and output.2 are the same signal; give it once"
+    ):
         map_bag(source, parse_map([*entries, "output.2=/one"]), Heaters)
-    with pytest.raises(RecordingError, match=r"is in degC .*, but the plant's first_power in %"):
-        map_bag(source, parse_map(["first_power=/one:temperature", *entries[:2], entries[3]]), Heaters)
+    with pytest.raises(
+        RecordingError, match=r"is in degC .*, but the plant's first_power in %"
+    ):
+        map_bag(
+            source,
+            parse_map(["first_power=/one:temperature", *entries[:2], entries[3]]),
+            Heaters,
+        )
 
 
 def test_list_shows_topics_and_proposes_a_map(tmp_path: Path) -> None:
-    process = run_twinmatch("import", bag(tmp_path / "bag", StoragePlugin.MCAP, messages()), "--list")
+    process = run_twinmatch(
+        "import", bag(tmp_path / "bag", StoragePlugin.MCAP, messages()), "--list"
+    )
     assert process.returncode == 0, process.stderr
     row = next(line for line in process.stdout.splitlines() if "/rack" in line)
     assert "lab_msgs/msg/Rack" in row
@@ -172,24 +226,48 @@ def test_list_shows_topics_and_proposes_a_map(tmp_path: Path) -> None:
 def test_without_a_set_point_the_session_says_so(tmp_path: Path, plant: Path) -> None:
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages())
     entries = [entry for entry in MAP if not entry.startswith("reference")]
-    process = run_twinmatch("import", source, "--plant", plant, "--map", *entries, "-o", tmp_path / "session")
+    process = run_twinmatch(
+        "import",
+        source,
+        "--plant",
+        plant,
+        "--map",
+        *entries,
+        "-o",
+        tmp_path / "session",
+    )
     assert process.returncode == 0, process.stderr
     assert not read_session(tmp_path / "session").has_reference
 
 
-def test_a_bag_is_imported_with_another_period_and_another_unit(tmp_path: Path, plant: Path) -> None:
+def test_a_bag_is_imported_with_another_period_and_another_unit(
+    tmp_path: Path, plant: Path
+) -> None:
     timed_messages = messages()
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, timed_messages)
-    entries = parse_map([*MAP[1:], "output=/rack:readings[1].value; scale=0.5; offset=1"])
+    entries = parse_map(
+        [*MAP[1:], "output=/rack:readings[1].value; scale=0.5; offset=1"]
+    )
     run = map_bag(source, entries.joined(parse_map([])), find_plant(str(plant)))
     assert run.samples[10].output == pytest.approx(0.5 * 30.0 + 1)
     slower = run_twinmatch(
-        "import", source, "--plant", plant, "--map", *MAP, "--period", "1.5", "-o", tmp_path / "slow"
+        "import",
+        source,
+        "--plant",
+        plant,
+        "--map",
+        *MAP,
+        "--period",
+        "1.5",
+        "-o",
+        tmp_path / "slow",
     )
     assert slower.returncode == 0, slower.stderr
     session = read_session(tmp_path / "slow")
     assert session.period == 1.5
-    assert [s.output for s in session.samples[:5]] == pytest.approx([20.0, 23.0, 26.0, 29.0, 32.0])
+    assert [s.output for s in session.samples[:5]] == pytest.approx(
+        [20.0, 23.0, 26.0, 29.0, 32.0]
+    )
 
 
 def test_the_reading_of_a_bag_reports_its_progress(
@@ -199,7 +277,10 @@ def test_the_reading_of_a_bag_reports_its_progress(
     shares: list[float] = []
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages())
     map_bag(
-        source, parse_map(MAP), find_plant(str(plant)), progress=lambda done, of: shares.append(done / of)
+        source,
+        parse_map(MAP),
+        find_plant(str(plant)),
+        progress=lambda done, of: shares.append(done / of),
     )
     assert shares == sorted(shares)
     assert shares[0] < 0.1
@@ -209,14 +290,26 @@ def test_the_reading_of_a_bag_reports_its_progress(
 @pytest.mark.parametrize(
     ("entries", "words"),
     [
-        (["output=/rakc", "input=/heater"], "has no topic /rakc; it has /empty, /heater, /rack"),
-        (["output=/rack:readings[1].temp", "input=/heater"], "has no field 'temp'; its numbers:"),
-        (["output=/rack:readings[1].name", "input=/heater"], "readings[1].name is text; choose a number:"),
+        (
+            ["output=/rakc", "input=/heater"],
+            "has no topic /rakc; it has /empty, /heater, /rack",
+        ),
+        (
+            ["output=/rack:readings[1].temp", "input=/heater"],
+            "has no field 'temp'; its numbers:",
+        ),
+        (
+            ["output=/rack:readings[1].name", "input=/heater"],
+            "readings[1].name is text; choose a number:",
+        ),
         (["output=/said", "input=/heater"], "std_msgs/msg/String has no numbers"),
         (["output=/empty", "input=/heater"], "topic /empty has no messages"),
         (["output=/room:temperature; unit=Pa", "input=/heater"], "is in Pa"),
         (["output=/room:temperature"], "no topic is mapped to input"),
-        (["output=/rack:readings[7].value", "input=/heater"], "no message of output has a number"),
+        (
+            ["output=/rack:readings[7].value", "input=/heater"],
+            "no message of output has a number",
+        ),
         (["output=/ra ck", "input=/heater"], "names no topic"),
         (
             ["time=/rack:header", "output=/room:temperature", "input=/heater"],
@@ -238,7 +331,16 @@ def test_a_gap_is_refused_with_its_place_or_bridged_where_that_is_asked_for(
     tmp_path: Path, plant: Path
 ) -> None:
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages(hole=(20, 32)))
-    words = ["import", source, "--plant", plant, "--map", *MAP, "-o", tmp_path / "session"]
+    words = [
+        "import",
+        source,
+        "--plant",
+        plant,
+        "--map",
+        *MAP,
+        "-o",
+        tmp_path / "session",
+    ]
     process = run_twinmatch(*words)
     assert process.returncode == 2
     assert "a gap of 6.5 s after reading 20" in process.stderr
@@ -248,7 +350,9 @@ def test_a_gap_is_refused_with_its_place_or_bridged_where_that_is_asked_for(
 
 
 @pytest.mark.parametrize("storage", BOTH)
-def test_a_file_without_its_folder_will_do(tmp_path: Path, plant: Path, storage: StoragePlugin) -> None:
+def test_a_file_without_its_folder_will_do(
+    tmp_path: Path, plant: Path, storage: StoragePlugin
+) -> None:
     folder = bag(tmp_path / "bag", storage, messages())
     (file,) = (path for path in folder.iterdir() if path.name != "metadata.yaml")
     alone = file.rename(
@@ -256,24 +360,43 @@ def test_a_file_without_its_folder_will_do(tmp_path: Path, plant: Path, storage:
     )  # as ROS 2 Lyrical names it
     run = map_bag(alone, parse_map(MAP), find_plant(str(plant)))
     second_bag = bag(tmp_path / "again", storage, messages())
-    assert run.samples == map_bag(second_bag, parse_map(MAP), find_plant(str(plant))).samples
+    assert (
+        run.samples
+        == map_bag(second_bag, parse_map(MAP), find_plant(str(plant))).samples
+    )
 
 
-def test_a_gap_splits_a_bag_and_the_twin_judges_both_parts(tmp_path: Path, plant: Path) -> None:
+def test_a_gap_splits_a_bag_and_the_twin_judges_both_parts(
+    tmp_path: Path, plant: Path
+) -> None:
     """The samples are those of the bag without the hole; one command of the heater is lost in it."""
     full = bag(tmp_path / "a", StoragePlugin.MCAP, messages())
     holed = bag(tmp_path / "b", StoragePlugin.MCAP, messages(hole=(20, 32)))
     for source, session in ((full, "whole"), (holed, "split")):
-        words = ["import", source, "-o", tmp_path / session, "--plant", plant, "--gaps", "split"]
+        words = [
+            "import",
+            source,
+            "-o",
+            tmp_path / session,
+            "--plant",
+            plant,
+            "--gaps",
+            "split",
+        ]
         process = run_twinmatch(*words, "--map", *MAP)
         assert process.returncode == 0, process.stderr
     assert "split into 2 stretches by gaps of 6.5 s" in process.stdout
-    by_index = {sample.index: sample for sample in read_session(tmp_path / "whole").samples}
+    by_index = {
+        sample.index: sample for sample in read_session(tmp_path / "whole").samples
+    }
     samples = read_session(tmp_path / "split").samples
     assert [s.index for s in samples] == [k for k in range(TICKS) if not 20 <= k < 32]
     for sample in samples:
         whole_sample = by_index[sample.index]
-        assert (sample.stamp, sample.output) == (whole_sample.stamp, whole_sample.output)
+        assert (sample.stamp, sample.output) == (
+            whole_sample.stamp,
+            whole_sample.output,
+        )
         assert sample.disturbances == pytest.approx(whole_sample.disturbances)
         assert sample.input == whole_sample.input or 32 <= sample.index <= 35
     assert run_twinmatch("replay", tmp_path / "split", "--plant", plant).returncode == 0
@@ -289,13 +412,20 @@ def test_a_gap_splits_a_bag_and_the_twin_judges_both_parts(tmp_path: Path, plant
     ],
 )
 def test_a_damaged_bag_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], storage: StoragePlugin, damage: str
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    storage: StoragePlugin,
+    damage: str,
 ) -> None:
     source = bag(tmp_path / "bag", storage, messages())
     file = stored(source)
     whole = file.read_bytes()
     half = whole[: len(whole) // 2]
-    file.write_bytes({"empty": b"", "half": half, "no beginning": b"\0" * 1000 + whole[1000:]}[damage])
+    file.write_bytes(
+        {"empty": b"", "half": half, "no beginning": b"\0" * 1000 + whole[1000:]}[
+            damage
+        ]
+    )
     assert main(["import", str(source), "--list"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert file.name in line
@@ -326,9 +456,13 @@ def test_our_own_session_is_a_bag_like_any_other(tmp_path: Path, plant: Path) ->
         "reference=/plant/sample:reference[0]",
         "room=/plant/sample:disturbances[0]",
     ]
-    process = run_twinmatch("import", first, "--plant", plant, "--map", *entries, "-o", tmp_path / "second")
+    process = run_twinmatch(
+        "import", first, "--plant", plant, "--map", *entries, "-o", tmp_path / "second"
+    )
     assert process.returncode == 0, process.stderr
-    once, twice = (read_session(tmp_path / name).samples for name in ("first", "second"))
+    once, twice = (
+        read_session(tmp_path / name).samples for name in ("first", "second")
+    )
     assert [(s.output, s.reference, s.disturbances) for s in twice] == [
         (s.output, s.reference, s.disturbances) for s in once
     ]
@@ -336,19 +470,29 @@ def test_our_own_session_is_a_bag_like_any_other(tmp_path: Path, plant: Path) ->
 
 
 @given(
-    st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(-100.0, 100.0)), min_size=1, max_size=30),
+    st.lists(
+        st.tuples(st.floats(0.0, 20.0), st.floats(-100.0, 100.0)),
+        min_size=1,
+        max_size=30,
+    ),
     st.lists(st.floats(0.01, 3.0), min_size=2, max_size=20),
 )
-def test_means_keep_what_the_drive_delivered(steps: list[tuple[float, float]], widths: list[float]) -> None:
+def test_means_keep_what_the_drive_delivered(
+    steps: list[tuple[float, float]], widths: list[float]
+) -> None:
     """The sum over the rows is that over the commands, summed step by step."""
     values_from = dict([(-1.0, 5.0), *steps])
     signal = TimedSignal(
-        np.array(sorted(values_from)), np.array([values_from[begin] for begin in sorted(values_from)])
+        np.array(sorted(values_from)),
+        np.array([values_from[begin] for begin in sorted(values_from)]),
     )
     time = np.concatenate([[0.0], np.cumsum(widths)])
     means = signal.means(time, np.inf)
     total = 0.0
-    edges = [*[begin for begin in sorted(values_from) if 0.0 < begin < time[-1]], time[-1]]
+    edges = [
+        *[begin for begin in sorted(values_from) if 0.0 < begin < time[-1]],
+        time[-1],
+    ]
     previous = 0.0
     value = values_from[max(t for t in values_from if t <= 0.0)]
     for edge in edges:
@@ -384,19 +528,32 @@ def test_messages_are_read_whatever_their_quality_of_service_is_said_to_be(
 
 @pytest.mark.parametrize("storage", BOTH)
 def test_what_was_read_is_counted_against_the_metadata(
-    tmp_path: Path, plant: Path, capsys: pytest.CaptureFixture[str], storage: StoragePlugin
+    tmp_path: Path,
+    plant: Path,
+    capsys: pytest.CaptureFixture[str],
+    storage: StoragePlugin,
 ) -> None:
     source = bag(tmp_path / "bag", storage, messages())
-    metadata(source, lambda held: held["topics_with_message_count"][0].update(message_count=7))
+    metadata(
+        source,
+        lambda held: held["topics_with_message_count"][0].update(message_count=7),
+    )
     words = "metadata.yaml lists other numbers of messages than the files hold: 7 of /empty (0 found)."
     assert f"Note: {words}" in listed(source, capsys)
     assert words in map_bag(source, parse_map(MAP), find_plant(str(plant))).notes
 
 
-def test_a_metadata_file_or_a_table_of_another_form_ends_in_no_traceback(tmp_path: Path) -> None:
+def test_a_metadata_file_or_a_table_of_another_form_ends_in_no_traceback(
+    tmp_path: Path,
+) -> None:
     source = bag(tmp_path / "bag", StoragePlugin.SQLITE3, messages())
     for count in (float("inf"), None, [], "many"):
-        metadata(source, lambda held, n=count: held["topics_with_message_count"][1].update(message_count=n))
+        metadata(
+            source,
+            lambda held, n=count: held["topics_with_message_count"][1].update(
+                message_count=n
+            ),
+        )
         assert read(source) == ([READINGS], [])
     with closing(sqlite3.connect(stored(source))) as data:
         data.execute("ALTER TABLE topics DROP COLUMN serialization_format")
@@ -405,7 +562,9 @@ def test_a_metadata_file_or_a_table_of_another_form_ends_in_no_traceback(tmp_pat
         read(source)
 
 
-def test_files_that_the_metadata_does_not_list_or_that_are_missing_are_named(tmp_path: Path) -> None:
+def test_files_that_the_metadata_does_not_list_or_that_are_missing_are_named(
+    tmp_path: Path,
+) -> None:
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages())
     shutil.copy(stored(source), source / "copy.mcap")
     assert read(source) == (
@@ -426,7 +585,10 @@ def test_the_folder_of_a_killed_recorder_is_read_without_its_metadata(
     (source / "metadata.yaml").unlink()
     run = map_bag(source, parse_map(MAP), find_plant(str(plant)))
     assert run.samples == whole.samples
-    assert "metadata.yaml is missing or unreadable: the recording was not finished." in run.notes
+    assert (
+        "metadata.yaml is missing or unreadable: the recording was not finished."
+        in run.notes
+    )
 
 
 def test_a_truncated_file_is_read_up_to_its_end_and_says_so(tmp_path: Path) -> None:
@@ -440,22 +602,36 @@ def test_a_truncated_file_is_read_up_to_its_end_and_says_so(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("beside", ["-wal", "-journal"])
-def test_what_sqlite_has_not_moved_into_the_file_yet_is_read(tmp_path: Path, beside: str) -> None:
+def test_what_sqlite_has_not_moved_into_the_file_yet_is_read(
+    tmp_path: Path, beside: str
+) -> None:
     """As a kill leaves it: the newest messages in the log beside the file, or a change half made in it."""
     source = bag(tmp_path / "bag", StoragePlugin.SQLITE3, messages())
     file = stored(source)
     with closing(sqlite3.connect(file)) as data:
         if beside == "-wal":
-            data.executescript("PRAGMA journal_mode = wal; PRAGMA wal_autocheckpoint = 0;")
-            rows = data.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id").fetchall()
+            data.executescript(
+                "PRAGMA journal_mode = wal; PRAGMA wal_autocheckpoint = 0;"
+            )
+            rows = data.execute(
+                "SELECT topic_id, timestamp, data FROM messages ORDER BY id"
+            ).fetchall()
             data.execute("DELETE FROM messages")
-            data.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", rows[:30])
+            data.executemany(
+                "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
+                rows[:30],
+            )
             data.commit()
             data.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-            data.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", rows[30:])
+            data.executemany(
+                "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
+                rows[30:],
+            )
             data.commit()
         else:
-            data.executescript("PRAGMA cache_size = 1; BEGIN; DELETE FROM messages WHERE id > 9;")
+            data.executescript(
+                "PRAGMA cache_size = 1; BEGIN; DELETE FROM messages WHERE id > 9;"
+            )
         shutil.copytree(source, tmp_path / "killed")
     killed = tmp_path / "killed"
     assert (killed / f"bag.db3{beside}").stat().st_size
@@ -465,9 +641,13 @@ def test_what_sqlite_has_not_moved_into_the_file_yet_is_read(tmp_path: Path, bes
 
 
 @pytest.mark.parametrize("surplus", [4, 24, 100])
-def test_bytes_behind_the_last_field_are_not_an_error(tmp_path: Path, surplus: int) -> None:
+def test_bytes_behind_the_last_field_are_not_an_error(
+    tmp_path: Path, surplus: int
+) -> None:
     """As `serialize_message` of rclpy writes them, and with it every recorder in Python."""
-    source = bag(tmp_path / "bag", StoragePlugin.MCAP, messages(), surplus=b"\xfe" * surplus)
+    source = bag(
+        tmp_path / "bag", StoragePlugin.MCAP, messages(), surplus=b"\xfe" * surplus
+    )
     assert read(source) == ([READINGS], [])
 
 
@@ -483,18 +663,37 @@ def mixed(file: Path, profile: str) -> Path:
             "/idl": ("cdr", out.register_schema(kind, "ros2idl", b"module { nonsense")),
             "/json": ("json", out.register_schema("Note", "jsonschema", b"{}")),
             "/bare": ("json", 0),
-            "/protobuf": ("protobuf", out.register_schema("Pose", "protobuf", b"\xff\x00")),
-            "/broken": ("cdr", out.register_schema("lab_msgs/msg/Broken", "ros2msg", b"float64[ data")),
+            "/protobuf": (
+                "protobuf",
+                out.register_schema("Pose", "protobuf", b"\xff\x00"),
+            ),
+            "/broken": (
+                "cdr",
+                out.register_schema("lab_msgs/msg/Broken", "ros2msg", b"float64[ data"),
+            ),
             "/unknown": ("cdr", out.register_schema("lab_msgs/msg/Unknown", "", b"")),
-            "/nested": ("cdr", out.register_schema("lab_msgs/msg/Nested", "ros2msg", b"lab_msgs/Part part")),
-            "/short": ("cdr", out.register_schema("lab_msgs/msg/Long", "ros2msg", b"float64 a\nfloat64 b")),
+            "/nested": (
+                "cdr",
+                out.register_schema(
+                    "lab_msgs/msg/Nested", "ros2msg", b"lab_msgs/Part part"
+                ),
+            ),
+            "/short": (
+                "cdr",
+                out.register_schema(
+                    "lab_msgs/msg/Long", "ros2msg", b"float64 a\nfloat64 b"
+                ),
+            ),
         }
         channels = {
-            name: out.register_channel(name, encoding, schema) for name, (encoding, schema) in schemas.items()
+            name: out.register_channel(name, encoding, schema)
+            for name, (encoding, schema) in schemas.items()
         }
         for k in range(3):
             for channel in channels.values():
-                out.add_message(channel, k, bytes(STORE.serialize_cdr(number(k), kind)), k)
+                out.add_message(
+                    channel, k, bytes(STORE.serialize_cdr(number(k), kind)), k
+                )
         out.finish()
     return file
 
@@ -506,7 +705,11 @@ def test_topics_that_cannot_be_read_are_listed_with_the_reason(
     file = mixed(tmp_path / "mixed.mcap", profile)
     for name in ("/stated", "/standard", "/idl"):
         assert read(file, Channel(name, "")) == ([[0.0, 1.0, 2.0]], [])
-    rows = {line.split("│")[1].strip(): line for line in listed(file, capsys).splitlines() if "│ /" in line}
+    rows = {
+        line.split("│")[1].strip(): line
+        for line in listed(file, capsys).splitlines()
+        if "│ /" in line
+    }
     assert len(rows) == 10
     for name, words in {
         "/stated": " data ",
@@ -519,9 +722,13 @@ def test_topics_that_cannot_be_read_are_listed_with_the_reason(
         "/short": " a, b ",
     }.items():
         assert words in rows[name], name
-    with pytest.raises(TwinmatchError, match=r"/unknown: .* source the workspace that has it, or map"):
+    with pytest.raises(
+        TwinmatchError, match=r"/unknown: .* source the workspace that has it, or map"
+    ):
         read(file, Channel("/unknown", "x"))
-    with pytest.raises(TwinmatchError, match="/short: a message of 12 bytes is not a lab_msgs/msg/Long"):
+    with pytest.raises(
+        TwinmatchError, match="/short: a message of 12 bytes is not a lab_msgs/msg/Long"
+    ):
         read(file, Channel("/short", "a"))
 
 
@@ -531,7 +738,9 @@ def test_a_type_without_a_definition_is_found_in_the_workspace(
     """As Humble writes SQLite: no table of definitions, no hashes."""
     source = bag(tmp_path / "bag", StoragePlugin.SQLITE3, messages())
     with closing(sqlite3.connect(stored(source))) as data:
-        data.executescript("DROP TABLE message_definitions; UPDATE schema SET schema_version = 3;")
+        data.executescript(
+            "DROP TABLE message_definitions; UPDATE schema SET schema_version = 3;"
+        )
         data.execute("UPDATE topics SET type_description_hash = ''")
         data.commit()
     share = tmp_path / "install" / "share" / "lab_msgs" / "msg"
@@ -539,12 +748,21 @@ def test_a_type_without_a_definition_is_found_in_the_workspace(
     (share / "Rack.msg").write_text("std_msgs/Header header\nReading[] readings\n")
     standard = tmp_path / "install" / "share" / "std_msgs" / "msg"
     standard.mkdir(parents=True)
-    (standard / "Header.msg").write_text("builtin_interfaces/Time stamp\nstring frame_id\n")
+    (standard / "Header.msg").write_text(
+        "builtin_interfaces/Time stamp\nstring frame_id\n"
+    )
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "install"))
-    with pytest.raises(TwinmatchError, match="/rack: the bag does not contain the definition of lab"):
+    with pytest.raises(
+        TwinmatchError, match="/rack: the bag does not contain the definition of lab"
+    ):
         read(source)  # a nested one is missing
-    (share / "Reading.msg").write_text("float32 value  # as it was recorded\nstring name\n")
-    assert read(source, RACK, Channel("/heater", "")) == ([READINGS, [10.0, *range(15, 66, 10)]], [])
+    (share / "Reading.msg").write_text(
+        "float32 value  # as it was recorded\nstring name\n"
+    )
+    assert read(source, RACK, Channel("/heater", "")) == (
+        [READINGS, [10.0, *range(15, 66, 10)]],
+        [],
+    )
 
 
 def test_an_installed_type_that_is_not_that_which_was_recorded_is_refused(
@@ -555,14 +773,18 @@ def test_an_installed_type_that_is_not_that_which_was_recorded_is_refused(
         out = McapWriter(stream)
         out.start(profile="ros2", library="somebody")
         schema = out.register_schema("lab_msgs/msg/Level", "", b"")
-        channel = out.register_channel("/level", "cdr", schema, {"topic_type_hash": "RIHS01_" + "0" * 64})
+        channel = out.register_channel(
+            "/level", "cdr", schema, {"topic_type_hash": "RIHS01_" + "0" * 64}
+        )
         out.add_message(channel, 1, b"\0\1\0\0" + bytes(8), 1)
         out.finish()
     share = tmp_path / "install" / "share" / "lab_msgs" / "msg"
     share.mkdir(parents=True)
     (share / "Level.msg").write_text("float64 value\n")
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "install"))
-    with pytest.raises(TwinmatchError, match=r"/level: .* recorded with another definition than"):
+    with pytest.raises(
+        TwinmatchError, match=r"/level: .* recorded with another definition than"
+    ):
         read(file, Channel("/level", ""))
 
 
@@ -598,11 +820,20 @@ def test_a_bag_of_ros_1_is_read_in_the_order_of_recording(tmp_path: Path) -> Non
     """Its clock was set back between the third message and the fourth."""
     store = get_typestore(Stores.ROS1_NOETIC)
     with Writer1(tmp_path / "one.bag") as writer:
-        heater = writer.add_connection("/heater", "std_msgs/msg/Float64", typestore=store)
+        heater = writer.add_connection(
+            "/heater", "std_msgs/msg/Float64", typestore=store
+        )
         for second, value in ((5, 1.0), (6, 2.0), (7, 3.0), (1, 4.0)):
             message = store.types["std_msgs/msg/Float64"](data=value)
-            writer.write(heater, second * 10**9, store.serialize_ros1(message, "std_msgs/msg/Float64"))
-    assert read(tmp_path / "one.bag", Channel("/heater", "")) == ([[1.0, 2.0, 3.0, 4.0]], [])
+            writer.write(
+                heater,
+                second * 10**9,
+                store.serialize_ros1(message, "std_msgs/msg/Float64"),
+            )
+    assert read(tmp_path / "one.bag", Channel("/heater", "")) == (
+        [[1.0, 2.0, 3.0, 4.0]],
+        [],
+    )
     (tmp_path / "one.bag").write_bytes((tmp_path / "one.bag").read_bytes()[:2000])
     with pytest.raises(TwinmatchError, match="cannot be read as a bag, or is damaged"):
         read(tmp_path / "one.bag")
@@ -617,7 +848,10 @@ def test_a_mode_in_a_formula_holds_until_the_next(tmp_path: Path, plant: Path) -
         if k % 10 == 0:
             timed_messages.append((k * PERIOD, "/mode", number(0.0 if k < 30 else 3.0)))
     source = bag(tmp_path / "bag", StoragePlugin.MCAP, timed_messages)
-    entries = ["output=/oven:temperature", "input=p*(m == 0) - p*(m == 2); p=/power:data; m=/mode:data"]
+    entries = [
+        "output=/oven:temperature",
+        "input=p*(m == 0) - p*(m == 2); p=/power:data; m=/mode:data",
+    ]
     run = map_bag(source, parse_map(entries), find_plant(str(plant)))
     inputs = [sample.input for sample in run.samples]
     # The bag's times are 30 ms late, so the first reading has no input yet.

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("rosbags", reason="rosbags is not installed; it is in the extra 'bags'")
+pytest.importorskip(
+    "rosbags", reason="rosbags is not installed; it is in the extra 'bags'"
+)
 
 from rosbags.rosbag2 import StoragePlugin, Writer
 
@@ -38,7 +40,9 @@ BOTH = [StoragePlugin.MCAP, StoragePlugin.SQLITE3]
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> type[Plant]:
-    return find_plant(str(plant_file(tmp_path_factory.mktemp("plant"), "clocked_block")))
+    return find_plant(
+        str(plant_file(tmp_path_factory.mktemp("plant"), "clocked_block"))
+    )
 
 
 def ticks(count: int = ROWS, first: int = 0) -> Iterator[tuple[float, float]]:
@@ -55,7 +59,9 @@ def loop(seconds: float, reading: float, *, recorded: float | None = None) -> Me
     ]
 
 
-def bag_of(folder: Path, timed_messages: Messages, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
+def bag_of(
+    folder: Path, timed_messages: Messages, storage: StoragePlugin = StoragePlugin.MCAP
+) -> Path:
     """Write messages in this order, whatever their times are."""
     with Writer(folder, version=9, storage_plugin=storage) as writer:
         connections: dict[str, Any] = {}
@@ -64,12 +70,16 @@ def bag_of(folder: Path, timed_messages: Messages, storage: StoragePlugin = Stor
             if name not in connections:
                 connections[name] = writer.add_connection(name, kind, typestore=STORE)
             writer.write(
-                connections[name], round((START + seconds) * 1e9), STORE.serialize_cdr(message, kind)
+                connections[name],
+                round((START + seconds) * 1e9),
+                STORE.serialize_cdr(message, kind),
             )
     return folder
 
 
-def mapped(source: Path, plant: type[Plant], entries: list[str] = MAP, **options: Any) -> Mapped:
+def mapped(
+    source: Path, plant: type[Plant], entries: list[str] = MAP, **options: Any
+) -> Mapped:
     return map_bag(source, parse_map(entries), plant, **options)
 
 
@@ -101,7 +111,10 @@ def test_a_clock_that_is_set_back_splits_a_bag_or_is_refused(
     for seconds, reading in ticks():
         timed_messages += loop(seconds if seconds < half else seconds - back, reading)
     source = bag_of(tmp_path / "bag", timed_messages, storage)
-    with pytest.raises(RecordingError, match=r"in reading 60 to .* in reading 62; if a clock was set back"):
+    with pytest.raises(
+        RecordingError,
+        match=r"in reading 60 to .* in reading 62; if a clock was set back",
+    ):
         mapped(source, plant)
     run = mapped(source, plant, gaps="split")
     # The first reading after it comes before the first command by the same clock.
@@ -116,17 +129,26 @@ def test_a_clock_that_is_set_back_splits_a_bag_or_is_refused(
     assert [s.output for s in written.samples] == [s.output for s in run.samples]
 
 
-def test_two_runs_of_a_simulator_that_was_reset_stay_two(tmp_path: Path, plant: type[Plant]) -> None:
+def test_two_runs_of_a_simulator_that_was_reset_stay_two(
+    tmp_path: Path, plant: type[Plant]
+) -> None:
     """Both begin at 10 s; the second one was taken for repeated messages."""
-    timed_messages = [(seconds + 10.0, topic, message) for seconds, topic, message in SETPOINT]
+    timed_messages = [
+        (seconds + 10.0, topic, message) for seconds, topic, message in SETPOINT
+    ]
     for first in (0, 300):
         for (seconds, _), (_, reading) in zip(ticks(), ticks(first=first), strict=True):
             timed_messages += loop(seconds + 10.0, reading)
     run = mapped(bag_of(tmp_path / "bag", timed_messages), plant, gaps="split")
-    assert [(len(part), part[1] > 40.0) for part in stretches(run)] == [(ROWS, False), (ROWS - 1, True)]
+    assert [(len(part), part[1] > 40.0) for part in stretches(run)] == [
+        (ROWS, False),
+        (ROWS - 1, True),
+    ]
 
 
-def test_messages_that_arrive_late_do_not_set_the_clock_back(tmp_path: Path, plant: type[Plant]) -> None:
+def test_messages_that_arrive_late_do_not_set_the_clock_back(
+    tmp_path: Path, plant: type[Plant]
+) -> None:
     timed_messages = list(SETPOINT)
     for seconds, reading in ticks():
         timed_messages += loop(seconds, reading)
@@ -142,13 +164,15 @@ def test_a_table_whose_clock_goes_back_is_split_or_refused_too(
 ) -> None:
     table = tmp_path / "log.csv"
     rows = [
-        f"{seconds if seconds < 30.0 else seconds - 7.0},{reading},{reading}" for seconds, reading in ticks()
+        f"{seconds if seconds < 30.0 else seconds - 7.0},{reading},{reading}"
+        for seconds, reading in ticks()
     ]
     table.write_text("\n".join(["time,output,input", *rows]), "utf-8")
     signal_map = parse_map(["time=time", "output=output", "input=input"])
     if gaps == "refuse":
         with pytest.raises(
-            RecordingError, match=r"from 29.5 s in line 61 to 23 s in line 62; if a clock was set"
+            RecordingError,
+            match=r"from 29.5 s in line 61 to 23 s in line 62; if a clock was set",
         ):
             map_samples(read_table(table), signal_map, plant)
         return
@@ -156,17 +180,23 @@ def test_a_table_whose_clock_goes_back_is_split_or_refused_too(
     assert [len(part) for part in stretches(run)] == [60, 60]
     assert readings(run) == [round(value, 6) for _, value in ticks()]
     assert all(
-        b.stamp - a.stamp in (round(STEP * 1e9), round(2 * STEP * 1e9)) for a, b in pairwise(run.samples)
+        b.stamp - a.stamp in (round(STEP * 1e9), round(2 * STEP * 1e9))
+        for a, b in pairwise(run.samples)
     )
 
 
 def test_rows_in_no_order_are_not_stretches(tmp_path: Path, plant: type[Plant]) -> None:
     table = tmp_path / "log.csv"
     order = np.random.default_rng(3).permutation(60)
-    table.write_text("\n".join(["time,output,input", *(f"{k},{k},{k}" for k in order)]), "utf-8")
+    table.write_text(
+        "\n".join(["time,output,input", *(f"{k},{k},{k}" for k in order)]), "utf-8"
+    )
     with pytest.raises(RecordingError, match="sort the rows, and keep one per time"):
         map_samples(
-            read_table(table), parse_map(["time=time", "output=output", "input=input"]), plant, gaps="split"
+            read_table(table),
+            parse_map(["time=time", "output=output", "input=input"]),
+            plant,
+            gaps="split",
         )
 
 
@@ -180,14 +210,14 @@ def test_a_hole_in_the_messages_of_an_input_is_a_gap(
         both = loop(seconds, reading)
         timed_messages += both[:1] if begin < seconds < end else both
     source = bag_of(tmp_path / "bag", timed_messages)
-    words = (
-        rf"input \(/heater\) has no message for .* s from reading {round(begin / STEP) + 3} on: .*--bridge"
-    )
+    words = rf"input \(/heater\) has no message for .* s from reading {round(begin / STEP) + 3} on: .*--bridge"
     with pytest.raises(RecordingError, match=words):
         mapped(source, plant)
     run = mapped(source, plant, gaps="split")
     unknown = [value for seconds, value in ticks() if begin + STEP < seconds <= end]
-    assert readings(run) == [round(value, 6) for _, value in ticks() if value not in unknown]
+    assert readings(run) == [
+        round(value, 6) for _, value in ticks() if value not in unknown
+    ]
     assert run.notes[-1].startswith(
         f"Of {ROWS} messages of the output, {ROWS - len(unknown)} are used "
         f"(left out: {len(unknown)} in holes of input (/heater)); read beside them: "
@@ -212,33 +242,54 @@ def joints(seconds: float, **positions: float) -> Any:
     header = temperature(seconds, 0.0).header
     values = np.array(list(positions.values()))
     return STORE.types["sensor_msgs/msg/JointState"](
-        header=header, name=list(positions), position=values, velocity=np.array([]), effort=values
+        header=header,
+        name=list(positions),
+        position=values,
+        velocity=np.array([]),
+        effort=values,
     )
 
 
 def reordered(k: int, seconds: float, value: float) -> Messages:
     both = {"arm/elbow": value, "wrist": -5.0}
-    return [(seconds, "/joint_states", joints(seconds, **(both if k < 60 else dict(reversed(both.items())))))]
+    return [
+        (
+            seconds,
+            "/joint_states",
+            joints(seconds, **(both if k < 60 else dict(reversed(both.items())))),
+        )
+    ]
 
 
 def with_gripper(k: int, seconds: float, value: float) -> Messages:
     arm_message = (seconds, "/joint_states", joints(seconds, **{"arm/elbow": value}))
     return (
-        [arm_message, (seconds + 0.2, "/joint_states", joints(seconds + 0.2, gripper=-5.0))]
+        [
+            arm_message,
+            (seconds + 0.2, "/joint_states", joints(seconds + 0.2, gripper=-5.0)),
+        ]
         if k % 2
         else [arm_message]
     )
 
 
-@pytest.mark.parametrize(("messages_of", "other_name"), [(reordered, "wrist"), (with_gripper, "gripper")])
+@pytest.mark.parametrize(
+    ("messages_of", "other_name"), [(reordered, "wrist"), (with_gripper, "gripper")]
+)
 def test_a_joint_is_followed_by_its_name_and_not_by_an_index_that_changes(
     messages_of: Any, other_name: str, tmp_path: Path, plant: type[Plant]
 ) -> None:
     joint_messages = [
-        message for k, (seconds, value) in enumerate(ticks()) for message in messages_of(k, seconds, value)
+        message
+        for k, (seconds, value) in enumerate(ticks())
+        for message in messages_of(k, seconds, value)
     ]
     source = bag_of(tmp_path / "bag", SETPOINT + joint_messages)
-    entries = "output=/joint_states:position[{0}]", "input=/joint_states:effort[{0}]", "reference=/sp"
+    entries = (
+        "output=/joint_states:position[{0}]",
+        "input=/joint_states:effort[{0}]",
+        "reference=/sp",
+    )
     words = rf"position\[0\] is arm/elbow in one message and {other_name} in another; .*position\[arm/elbow\]"
     with pytest.raises(RecordingError, match=words):
         mapped(source, plant, [entry.format(0) for entry in entries])
@@ -251,18 +302,33 @@ def test_joints_are_listed_and_proposed_by_their_names(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     joint_messages = [
-        message for k, (seconds, value) in enumerate(ticks()) for message in with_gripper(k, seconds, value)
+        message
+        for k, (seconds, value) in enumerate(ticks())
+        for message in with_gripper(k, seconds, value)
     ]
-    assert main(["import", str(bag_of(tmp_path / "bag", SETPOINT + joint_messages)), "--list"]) == 0
+    assert (
+        main(
+            [
+                "import",
+                str(bag_of(tmp_path / "bag", SETPOINT + joint_messages)),
+                "--list",
+            ]
+        )
+        == 0
+    )
     listing = capsys.readouterr().out
-    numbers = "position[arm/elbow], effort[arm/elbow], position[gripper], effort[gripper]"
+    numbers = (
+        "position[arm/elbow], effort[arm/elbow], position[gripper], effort[gripper]"
+    )
     assert numbers in " ".join(re.sub("[│┃|]", " ", listing).split())
     assert "[0]" not in listing
     assert "'output=/joint_states:position[arm/elbow]'" in listing
 
 
 def test_radians_of_a_joint_become_the_degrees_of_the_plant(tmp_path: Path) -> None:
-    turned = find_plant(str(plant_file(tmp_path, "turned", ('unit="°C", noise', 'unit="deg", noise'))))
+    turned = find_plant(
+        str(plant_file(tmp_path, "turned", ('unit="°C", noise', 'unit="deg", noise')))
+    )
     joint_messages = [
         message
         for k, (seconds, value) in enumerate(ticks())
@@ -272,21 +338,30 @@ def test_radians_of_a_joint_become_the_degrees_of_the_plant(tmp_path: Path) -> N
     timed_messages = [
         message
         for k in range(ROWS)
-        for message in (joint_messages[k], (joint_messages[k][0], "/heater", number(20.0)))
+        for message in (
+            joint_messages[k],
+            (joint_messages[k][0], "/heater", number(20.0)),
+        )
     ]
     run = mapped(bag_of(tmp_path / "bag", timed_messages), turned, entries)
     assert run.samples[5].output == pytest.approx(np.rad2deg(0.205))
 
 
-def test_the_clock_that_all_stamps_share_counts(tmp_path: Path, plant: type[Plant]) -> None:
+def test_the_clock_that_all_stamps_share_counts(
+    tmp_path: Path, plant: type[Plant]
+) -> None:
     """A simulator at half of real time: by the times of the bag, every time constant is doubled."""
-    timed_messages: Messages = [(-0.5, "/sp", number(40.0)), (-0.5, "/heater", number(20.0))]
+    timed_messages: Messages = [
+        (-0.5, "/sp", number(40.0)),
+        (-0.5, "/heater", number(20.0)),
+    ]
     for seconds, reading in ticks():
         timed_messages += loop(seconds + 5.0 - START, reading, recorded=2 * seconds)
     run = mapped(bag_of(tmp_path / "bag", timed_messages), plant)
     assert (len(run.samples), run.period) == (ROWS, STEP)
     assert any(
-        "share a clock of their own, which counts" in n and "0.5 times as fast" in n for n in run.notes
+        "share a clock of their own, which counts" in n and "0.5 times as fast" in n
+        for n in run.notes
     )
     # A command 10 ms after its reading by the bag's clock is 5 ms after it by the simulator's.
     assert run.samples[10].input == pytest.approx(0.01 * 20.9 + 0.99 * 21.0, abs=1e-4)
@@ -302,8 +377,13 @@ def test_stamps_of_clocks_that_disagree_or_stand_are_not_used(
         stamp = seconds - 500.0 if of_the_room is not None else -500.0
         timed_messages += loop(stamp, reading, recorded=seconds)
         if of_the_room is not None:
-            timed_messages.append((seconds, "/room", temperature(seconds + of_the_room, 18.0)))
+            timed_messages.append(
+                (seconds, "/room", temperature(seconds + of_the_room, 18.0))
+            )
     entries = MAP if of_the_room is None else [*MAP, "room=/room:temperature"]
     run = mapped(bag_of(tmp_path / "bag", timed_messages), plant, entries)
     assert run.samples[0].stamp == START * 10**9
-    assert any("have clocks of their own" in n and "the times of the bag are used" in n for n in run.notes)
+    assert any(
+        "have clocks of their own" in n and "the times of the bag are used" in n
+        for n in run.notes
+    )

@@ -11,7 +11,12 @@ from tests.support.processes import no_plant_files
 from twinmatch.adding.written_files import _source
 from twinmatch.importing.column_map import read_map
 from twinmatch.importing.derived import with_derived
-from twinmatch.importing.mapped import Mapped, map_samples, require_columns, with_plant_names
+from twinmatch.importing.mapped import (
+    Mapped,
+    map_samples,
+    require_columns,
+    with_plant_names,
+)
 from twinmatch.importing.tables import read_table
 from twinmatch.plants import find_plant
 from twinmatch.sampling.sources import SignalMap, parse_map
@@ -37,11 +42,16 @@ def mapped(path: Path, *entries: str) -> Mapped:
     """The samples with these entries, with those of the usual signals where they are missing."""
     usual = {"time": "t", "output": "T; missing=-127", "input": "active"}
     given = parse_map(entries).sources
-    all_entries = [*entries, *(f"{name}={text}" for name, text in usual.items() if name not in given)]
+    all_entries = [
+        *entries,
+        *(f"{name}={text}" for name, text in usual.items() if name not in given),
+    ]
     table, signal_map = with_derived(read_table(path), parse_map(all_entries))
     with no_plant_files():
         plant = find_plant(str(plant_file(path.parent, "block_of_derived")))
-        return map_samples(table, with_plant_names(table, plant, signal_map), plant, longest=3.0)
+        return map_samples(
+            table, with_plant_names(table, plant, signal_map), plant, longest=3.0
+        )
 
 
 def test_marks_are_gaps_and_the_unit_of_the_title_stays(path: Path) -> None:
@@ -51,10 +61,14 @@ def test_marks_are_gaps_and_the_unit_of_the_title_stays(path: Path) -> None:
 
 def test_a_power_of_ten_in_another_column_counts(path: Path) -> None:
     samples = mapped(path, "input=w * 10**f; w=W; f=W_SF; unit=%").samples
-    assert [sample.input for sample in samples] == pytest.approx([8.0, 9.0, 9.0, 11.0, 12.0])
+    assert [sample.input for sample in samples] == pytest.approx(
+        [8.0, 9.0, 9.0, 11.0, 12.0]
+    )
 
 
-def test_letters_beside_a_duty_give_its_sign_and_an_unknown_one_a_gap(path: Path) -> None:
+def test_letters_beside_a_duty_give_its_sign_and_an_unknown_one_a_gap(
+    path: Path,
+) -> None:
     entry = "input=u * m / 10; u=duty; m=mode; H=1; C=0.5; scale=2"
     assert [sample.input for sample in mapped(path, entry).samples] == pytest.approx(
         [2.0, 2.0, 2.0, 2.0, 10.0]
@@ -85,7 +99,9 @@ def test_units_and_words_in_cells_are_those_of_devices(tmp_path: Path) -> None:
 def test_two_units_in_a_column_stay_texts_and_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("t,T,active\n0,68 °F,0\n1,21 °C,1\n2,22 °C,1\n")
-    with pytest.raises(RecordingError, match="line 3: 'T' is '21 °C', which is not a number"):
+    with pytest.raises(
+        RecordingError, match="line 3: 'T' is '21 °C', which is not a number"
+    ):
         mapped(path, "output=T")
 
 
@@ -97,16 +113,24 @@ def test_two_units_in_a_column_stay_texts_and_are_refused(tmp_path: Path) -> Non
         ("input=duty; per=2", "no cell of duty is 'per'"),
     ],
 )
-def test_what_cannot_be_computed_is_one_message(path: Path, entry: str, words: str) -> None:
+def test_what_cannot_be_computed_is_one_message(
+    path: Path, entry: str, words: str
+) -> None:
     with pytest.raises(RecordingError) as caught:
         mapped(path, entry)
     assert words in str(caught.value)
 
 
 def test_a_map_that_was_written_to_a_file_computes_the_same(path: Path) -> None:
-    entries = ["time=t", "output=T; missing=-127", "input=u * m; u=duty (%); m=mode; H=1; C=0.5; unit=1"]
+    entries = [
+        "time=t",
+        "output=T; missing=-127",
+        "input=u * m; u=duty (%); m=mode; H=1; C=0.5; unit=1",
+    ]
     _, derived = with_derived(read_table(path), parse_map(entries))
-    lines = [f"  {signal}: {_source(source)}" for signal, source in derived.sources.items()]
+    lines = [
+        f"  {signal}: {_source(source)}" for signal, source in derived.sources.items()
+    ]
     file = path.parent / "map.yaml"
     file.write_text("\n".join(["columns:", *lines]))
     table, again = with_derived(read_table(path), read_map(file))
@@ -119,15 +143,21 @@ def test_a_map_that_was_written_to_a_file_computes_the_same(path: Path) -> None:
 def test_columns_of_words_are_named_with_what_to_map(tmp_path: Path) -> None:
     """HEAT and IDLE need no numbers; BOOST does."""
     path = tmp_path / "log.csv"
-    path.write_text("t,T,action,mode\n0,20,HEAT,BOOST\n1,21,IDLE,away\n2,22,HEAT,BOOST\n")
+    path.write_text(
+        "t,T,action,mode\n0,20,HEAT,BOOST\n1,21,IDLE,away\n2,22,HEAT,BOOST\n"
+    )
     table = read_table(path)
     with pytest.raises(RecordingError) as caught:
         require_columns(table, parse_map(["time=t", "output=T"]))
     assert "no column is mapped to input" in str(caught.value)
-    assert "'action' holds words (HEAT), and is mapped as 'SIGNAL=action'" in str(caught.value)
+    assert "'action' holds words (HEAT), and is mapped as 'SIGNAL=action'" in str(
+        caught.value
+    )
     asked = "'mode' holds words (BOOST, away), and is mapped as 'SIGNAL=mode; BOOST=NUMBER; away=NUMBER'"
     assert asked in str(caught.value)
-    assert [sample.input for sample in mapped(path, "output=T", "input=action").samples] == [1.0, 0.0, 1.0]
+    assert [
+        sample.input for sample in mapped(path, "output=T", "input=action").samples
+    ] == [1.0, 0.0, 1.0]
     with_words = mapped(path, "output=T", "input=action; heat=1; idle=0").samples
     assert [sample.input for sample in with_words] == [1.0, 0.0, 1.0]
     with pytest.raises(RecordingError, match="'idle' is read as 0 in tables"):

@@ -39,7 +39,9 @@ def table_of(folder: Path, *lines: str) -> Table:
     ids=["hash", "hash, units", "hash, dates", "preamble", "foot", "inside", "sums", "foot of dates",
          "spaces", "savetxt"],
 )  # fmt: skip
-def test_every_row_is_read_whatever_stands_around_them(tmp_path: Path, lines: list[str]) -> None:
+def test_every_row_is_read_whatever_stands_around_them(
+    tmp_path: Path, lines: list[str]
+) -> None:
     table = table_of(tmp_path, *lines)
     assert [title.partition(" ")[0] for title in table.columns] == ["time", "T", "on"]
     assert table.values(table.find("T")).tolist() == [20.5 + k % 5 for k in range(40)]
@@ -60,9 +62,13 @@ def test_what_is_left_out_is_named_by_its_line(tmp_path: Path) -> None:
 LABELLED = [f"T:{20 + k}.5,duty:{k % 2}" for k in range(40)]
 
 
-@pytest.mark.parametrize("rows", [ROWS, DATED, LABELLED, [row.replace(",0", ",OFF") for row in DATED]])
+@pytest.mark.parametrize(
+    "rows", [ROWS, DATED, LABELLED, [row.replace(",0", ",OFF") for row in DATED]]
+)
 def test_a_row_is_not_taken_for_names(tmp_path: Path, rows: list[str]) -> None:
-    with pytest.raises(RecordingError, match=r"line 1: has .*; the first line must name the columns"):
+    with pytest.raises(
+        RecordingError, match=r"line 1: has .*; the first line must name the columns"
+    ):
         table_of(tmp_path, *rows)
 
 
@@ -74,7 +80,9 @@ def test_names_may_be_numbers_beside_others(tmp_path: Path) -> None:
 def test_a_wrong_cell_inside_stays_an_error_with_its_line(tmp_path: Path) -> None:
     lines = ["time,T,on", *ROWS]
     lines[12] = "11,cold,1"
-    with pytest.raises(RecordingError, match="line 13: 'T' is 'cold', which is not a number"):
+    with pytest.raises(
+        RecordingError, match="line 13: 'T' is 'cold', which is not a number"
+    ):
         table_of(tmp_path, *lines).values("T")
 
 
@@ -95,7 +103,9 @@ def test_a_wrong_cell_inside_stays_an_error_with_its_line(tmp_path: Path) -> Non
         ("5", None),
     ],
 )
-def test_a_number_with_its_unit_is_a_quantity(text: str, quantity: tuple[float, str] | None) -> None:
+def test_a_number_with_its_unit_is_a_quantity(
+    text: str, quantity: tuple[float, str] | None
+) -> None:
     assert quantity_in(text) == quantity
 
 
@@ -109,22 +119,35 @@ def test_units_and_commas_in_cells_are_read(tmp_path: Path) -> None:
 
 
 def test_a_line_of_units_may_have_brackets(tmp_path: Path) -> None:
-    table = table_of(tmp_path, "Time,Channel A", "(s),(degC)", "", *(f"{k},{20 + k}" for k in range(9)))
+    table = table_of(
+        tmp_path,
+        "Time,Channel A",
+        "(s),(degC)",
+        "",
+        *(f"{k},{20 + k}" for k in range(9)),
+    )
     assert list(table.columns) == ["Time (s)", "Channel A (degC)"]
 
 
 def test_two_units_in_one_column_are_refused(tmp_path: Path) -> None:
     rows = [f"{k},{20 + k} °C" for k in range(10)]
-    with pytest.raises(RecordingError, match="line 12: 'T' is '68 °F', which is not a number"):
-        table_of(tmp_path, "time,T", *rows, "10,68 °F", *(f"{k},{20 + k} °C" for k in range(11, 30))).values(
-            "T"
-        )
+    with pytest.raises(
+        RecordingError, match="line 12: 'T' is '68 °F', which is not a number"
+    ):
+        table_of(
+            tmp_path,
+            "time,T",
+            *rows,
+            "10,68 °F",
+            *(f"{k},{20 + k} °C" for k in range(11, 30)),
+        ).values("T")
 
 
 TABBED = [row.replace(",", "\t") for row in ROWS]
 SEMICOLONS = [row.replace(",", ";") for row in ROWS]
 OBJECTS = [
-    json.dumps(dict(zip(("time", "T", "on"), map(float, row.split(",")), strict=True))) for row in ROWS
+    json.dumps(dict(zip(("time", "T", "on"), map(float, row.split(",")), strict=True)))
+    for row in ROWS
 ]
 
 
@@ -142,28 +165,51 @@ OBJECTS = [
             id="kinds of values",
         ),
         pytest.param(
-            ["Date:1.3.2026\tUnit:C\tSTART:00:30\tEND:12:00", "time\tT\ton", *TABBED], id="wider remarks"
+            ["Date:1.3.2026\tUnit:C\tSTART:00:30\tEND:12:00", "time\tT\ton", *TABBED],
+            id="wider remarks",
         ),
         pytest.param(
-            ["Logger\t", "Channels\t2\t", "***End***\t", "time\tT\ton\tComment", *TABBED], id="narrower rows"
+            [
+                "Logger\t",
+                "Channels\t2\t",
+                "***End***\t",
+                "time\tT\ton\tComment",
+                *TABBED,
+            ],
+            id="narrower rows",
         ),
         pytest.param(
-            ["Logger: testo;;", "Begin;01.03.2026 10:00:00;", "time;T;on", *SEMICOLONS], id="empty cells"
+            ["Logger: testo;;", "Begin;01.03.2026 10:00:00;", "time;T;on", *SEMICOLONS],
+            id="empty cells",
         ),
-        pytest.param(["Model,MDO,", "Interval,5.0,", ",,", "time,T,on", *ROWS], id="settings"),
-        pytest.param(["time,T,on", "Comment,none,none", "Rate[ms],1000,1000", *ROWS], id="below the names"),
-        pytest.param(['"time', '(s)","T', '(°C)",on', *ROWS], id="names over two lines"),
+        pytest.param(
+            ["Model,MDO,", "Interval,5.0,", ",,", "time,T,on", *ROWS], id="settings"
+        ),
+        pytest.param(
+            ["time,T,on", "Comment,none,none", "Rate[ms],1000,1000", *ROWS],
+            id="below the names",
+        ),
+        pytest.param(
+            ['"time', '(s)","T', '(°C)",on', *ROWS], id="names over two lines"
+        ),
         pytest.param(OBJECTS, id="objects"),
     ],
 )
 def test_names_are_found_among_remarks(tmp_path: Path, lines: list[str]) -> None:
     table = table_of(tmp_path, *lines)
-    assert [title.partition(" ")[0] for title in table.columns][:3] == ["time", "T", "on"]
+    assert [title.partition(" ")[0] for title in table.columns][:3] == [
+        "time",
+        "T",
+        "on",
+    ]
     assert table.values(table.find("T")).tolist() == [20.5 + k % 5 for k in range(40)]
 
 
 def test_objects_within_objects_and_arrays_of_them_are_rows(tmp_path: Path) -> None:
-    rows = [{"time": k, "oven": {"T": 20.5 + k, "note": None}, "tags": [1]} for k in range(9)]
+    rows = [
+        {"time": k, "oven": {"T": 20.5 + k, "note": None}, "tags": [1]}
+        for k in range(9)
+    ]
     path = tmp_path / "log.json"
     path.write_text(json.dumps(rows, indent=1), encoding="utf-8")
     table = read_table(path)
@@ -180,7 +226,9 @@ def test_objects_within_objects_and_arrays_of_them_are_rows(tmp_path: Path) -> N
         (["[", "1, 2]"], "row 1: is not an object"),
     ],
 )
-def test_rows_that_cannot_be_objects_are_refused(tmp_path: Path, lines: list[str], message: str) -> None:
+def test_rows_that_cannot_be_objects_are_refused(
+    tmp_path: Path, lines: list[str], message: str
+) -> None:
     with pytest.raises(RecordingError, match=message):
         table_of(tmp_path, *lines)
 
@@ -194,7 +242,9 @@ def test_commas_separate_thousands_where_points_are_decimal(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("word", ["#N/A", "---", "1.#QNAN", "#DIV/0!", "no data"])
 def test_what_stands_for_no_value_is_a_gap(tmp_path: Path, word: str) -> None:
-    table = table_of(tmp_path, "time,T", *(f"{k},{word if k % 2 else 20}" for k in range(40)))
+    table = table_of(
+        tmp_path, "time,T", *(f"{k},{word if k % 2 else 20}" for k in range(40))
+    )
     assert np.isnan(table.values("T")[1::2]).all()
 
 
@@ -208,5 +258,7 @@ def test_what_stands_for_no_value_is_a_gap(tmp_path: Path, word: str) -> None:
         ("Flow, cold side (l/min)", ("Flow, cold side", "l/min")),
     ],
 )
-def test_a_title_has_a_name_and_a_unit(title: str, name_and_unit: tuple[str, str]) -> None:
+def test_a_title_has_a_name_and_a_unit(
+    title: str, name_and_unit: tuple[str, str]
+) -> None:
     assert split_title(title) == name_and_unit

@@ -57,7 +57,9 @@ def test_the_rig_recordings_are_read_to_the_last_bit(recordings, recorded_hour):
 def test_a_mat_file_is_read(tmp_path, compress):
     path = tmp_path / "run.MAT"
     with path.open("wb") as file:
-        scipy.io.savemat(file, {"simout": matrix(), "tout": np.arange(20.0)}, do_compression=compress)
+        scipy.io.savemat(
+            file, {"simout": matrix(), "tout": np.arange(20.0)}, do_compression=compress
+        )
     window = open_any(str(path)).window()
     u, y, _, r = matrix().T
     assert np.array_equal(window.input, u)
@@ -70,7 +72,10 @@ def test_a_mat_file_is_read(tmp_path, compress):
     [
         CSV,
         CSV.replace("time,reference,temperature,pwm", "t, Setpoint [degC] ,Y (°C),U"),
-        CSV.replace("time,reference,temperature,pwm", '"seconds","set_point","temp [C]","COMMAND"'),
+        CSV.replace(
+            "time,reference,temperature,pwm",
+            '"seconds","set_point","temp [C]","COMMAND"',
+        ),
         CSV.replace("\n1,", "\n\n ,,,\n1,"),
         CSV.replace("\n1,30,26,2", "\n1,30,26,2,"),
         "pwm,note,temperature,time (s),reference\n-1,a,25.5,5,30\n2,,26,6,30\n3.5,b,26.5,7,31\n",
@@ -80,10 +85,14 @@ def test_a_csv_file_may_be_written_in_several_ways(tmp_path, text):
     check_small(read_recording(table(tmp_path / "run.csv", text)))
 
 
-@given(st.sampled_from([0.001, 0.01, 1 / 30, 0.1, 0.25, 1.0, 2.0, 60.0]), st.integers(2, 500))
+@given(
+    st.sampled_from([0.001, 0.01, 1 / 30, 0.1, 0.25, 1.0, 2.0, 60.0]),
+    st.integers(2, 500),
+)
 def test_the_period_is_the_one_the_loop_was_set_to(tmp_path_factory, period, count):
     path = save(
-        tmp_path_factory.getbasetemp() / "period.mat", simout=matrix(count, period)[:, :] / [300, 300, 1, 1]
+        tmp_path_factory.getbasetemp() / "period.mat",
+        simout=matrix(count, period)[:, :] / [300, 300, 1, 1],
     )
     assert read_recording(path).period == pytest.approx(period, abs=5e-10)
 
@@ -91,7 +100,9 @@ def test_the_period_is_the_one_the_loop_was_set_to(tmp_path_factory, period, cou
 def test_jitter_and_a_clock_a_little_off_do_not_change_the_period(tmp_path):
     rows = matrix(200)
     rows[:, 0] /= 10
-    rows[:, 2] = rows[:, 2] * 1.0001 + np.random.default_rng(3).uniform(-0.02, 0.02, 200)
+    rows[:, 2] = rows[:, 2] * 1.0001 + np.random.default_rng(3).uniform(
+        -0.02, 0.02, 200
+    )
     assert read_recording(save(tmp_path / "run.mat", simout=rows)).period == 1.0
 
 
@@ -108,7 +119,10 @@ def changed(row: int, column: int, value: float) -> np.ndarray:
         (changed(0, 0, np.inf), "input in row 1 is inf"),
         (changed(19, 3, -np.inf), "reference in row 20 is -inf"),
         (changed(7, 2, np.nan), "time in row 8 is nan"),
-        (changed(4, 0, 255.5), "row 5: input is 255.5 PWM, beyond the limits of its drive, -255 to 255"),
+        (
+            changed(4, 0, 255.5),
+            "row 5: input is 255.5 PWM, beyond the limits of its drive, -255 to 255",
+        ),
         (changed(4, 0, -1023), "row 5: input is -1023"),
         (matrix() * [60, 1, 1, 1], r"row 1: input is -300 PWM \(and in 10 more\)"),
         (
@@ -119,7 +133,10 @@ def changed(row: int, column: int, value: float) -> np.ndarray:
         (changed(5, 2, 5.5), "1.5 s from row 5 to row 6, elsewhere 1 s"),
         (changed(5, 2, 4.0), "time does not advance from 4 s in row 5 to 4 s in row 6"),
         (changed(5, 2, 3.0), "time does not advance from 4 s in row 5 to 3 s in row 6"),
-        (np.delete(matrix(), [9, 10], axis=0), "3 s from row 9 to row 10, elsewhere 1 s"),
+        (
+            np.delete(matrix(), [9, 10], axis=0),
+            "3 s from row 9 to row 10, elsewhere 1 s",
+        ),
         (matrix(1), "has 1 rows; at least two"),
         (matrix(0), "has 0 rows; at least two"),
         (matrix()[:, :3], r"simout has the shape \(20, 3\); it needs 4 columns"),
@@ -146,12 +163,15 @@ def test_a_mat_file_of_something_else_lists_what_it_has(tmp_path):
 @pytest.mark.parametrize("compress", [False, True])
 def test_a_truncated_mat_file_is_never_read_as_whole(tmp_path, compress):
     path = tmp_path / "run.mat"
-    scipy.io.savemat(path, {"simout": matrix(300) / [2, 1, 1, 1]}, do_compression=compress)
+    scipy.io.savemat(
+        path, {"simout": matrix(300) / [2, 1, 1, 1]}, do_compression=compress
+    )
     content = path.read_bytes()
     for cut in range(0, len(content), 97):
         path.write_bytes(content[:cut])
         with pytest.raises(
-            RecordingError, match=r"is truncated or damaged|is not a MATLAB file|has no matrix simout"
+            RecordingError,
+            match=r"is truncated or damaged|is not a MATLAB file|has no matrix simout",
         ):
             read_recording(path)
 
@@ -166,7 +186,7 @@ def test_a_damaged_mat_file_gives_our_error_or_numbers(tmp_path_factory, damage,
     try:
         window = read_recording(path)
     except RecordingError as error:
-        assert path.name in str(error)  # noqa: PT017 - either outcome is right
+        assert path.name in str(error)  # noqa: PT017
     else:
         assert np.isfinite(window.output).all()
 
@@ -178,10 +198,21 @@ NEW = b"MATLAB 7.3 MAT-file, Platform: GLNXA64"
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        *(("run.mat", c, OLD) for c in (b"", b"garbage", bytes(500), b"MATLAB 5", b"\xff" * 900)),
+        *(
+            ("run.mat", c, OLD)
+            for c in (b"", b"garbage", bytes(500), b"MATLAB 5", b"\xff" * 900)
+        ),
         ("run.mat", NEW + bytes(500), "save it again with the option -v7"),
-        ("run.csv", bytes(range(256)), "is not text in a known encoding; save it as UTF-8"),
-        ("run.txt", CSV.encode(), r"has the suffix '\.txt'; a recording has \.mat or \.csv"),
+        (
+            "run.csv",
+            bytes(range(256)),
+            "is not text in a known encoding; save it as UTF-8",
+        ),
+        (
+            "run.txt",
+            CSV.encode(),
+            r"has the suffix '\.txt'; a recording has \.mat or \.csv",
+        ),
         ("run.mat", None, "does not exist"),
         (".", None, "is a folder"),
     ],
@@ -213,14 +244,29 @@ def test_other_files_are_refused(tmp_path, name, content, message):
         ),
         (CSV.replace("time", "time [ms]"), r"column 'time \[ms\]': give time in s"),
         (CSV.replace("pwm", "pwm [%]"), "give input in steps of −255 to 255"),
-        (CSV.replace("26,2", "x,2"), "line 3: 'temperature' is 'x', which is not a number"),
-        (CSV.replace("\n1,30,26,2", "\n\n1,30,,2"), "output in line 4 is nan; give a finite number"),
+        (
+            CSV.replace("26,2", "x,2"),
+            "line 3: 'temperature' is 'x', which is not a number",
+        ),
+        (
+            CSV.replace("\n1,30,26,2", "\n\n1,30,,2"),
+            "output in line 4 is nan; give a finite number",
+        ),
         (CSV.replace("1,30,26,2", "1,30"), "output in line 3 is nan"),
         (CSV.replace("26,2", "nan,2"), "output in line 3 is nan"),
-        (CSV.replace("\n1,30", "\n\n1,30").replace(",3.5", ",256"), "line 5: input is 256"),
+        (
+            CSV.replace("\n1,30", "\n\n1,30").replace(",3.5", ",256"),
+            "line 5: input is 256",
+        ),
         (CSV.replace("\n2,31", "\n9,31"), "8 s from line 3 to line 4, elsewhere 1 s"),
-        ("time,reference,temperature,pwm\n", "at least two rows; the file has 1 lines of a table"),
-        (CSV.splitlines()[0] + "\n" + "1" * 200_000 + ",1,1,1\n0,1,1,1\n", "cannot be read as a table"),
+        (
+            "time,reference,temperature,pwm\n",
+            "at least two rows; the file has 1 lines of a table",
+        ),
+        (
+            CSV.splitlines()[0] + "\n" + "1" * 200_000 + ",1,1,1\n0,1,1,1\n",
+            "cannot be read as a table",
+        ),
         (
             CSV.replace(",", ";").replace("26;2", "26;2,5,1"),
             "line 3: 'pwm' is '2,5,1'",
@@ -238,11 +284,15 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "open", refuse)
     (tmp_path / "run.csv").write_bytes(b"x")
-    with pytest.raises(RecordingError, match=r"run\.csv: cannot be read \(Permission denied\)"):
+    with pytest.raises(
+        RecordingError, match=r"run\.csv: cannot be read \(Permission denied\)"
+    ):
         read_recording(tmp_path / "run.csv")
 
 
-NINE = "time,reference,temperature,pwm\n" + "".join(f"{k},{30 + k // 4},25.5,{k}\n" for k in range(9))
+NINE = "time,reference,temperature,pwm\n" + "".join(
+    f"{k},{30 + k // 4},25.5,{k}\n" for k in range(9)
+)
 
 
 def test_a_recording_opens_as_the_session_it_is_imported_as(tmp_path):
@@ -252,7 +302,16 @@ def test_a_recording_opens_as_the_session_it_is_imported_as(tmp_path):
     assert recording.samples == session.samples
     assert list(recording.messages()) == list(session.messages())
     assert recording.topics == session.topics
-    for name in ("name", "topic", "counts", "start", "end", "notes", "period", "duration"):
+    for name in (
+        "name",
+        "topic",
+        "counts",
+        "start",
+        "end",
+        "notes",
+        "period",
+        "duration",
+    ):
         assert getattr(recording, name) == getattr(session, name)
     assert recording.samples[8] == Sample(8, EPOCH + 8 * 10**9, 32.0, 25.5, 8.0)
 
@@ -263,7 +322,10 @@ def test_a_session_file_opens_whatever_its_name(tmp_path):
     assert open_any(folder / "run_0.mcap").samples == samples
     (folder / "run_0.mcap").rename(tmp_path / "attachment.bin")
     assert open_any(tmp_path / "attachment.bin").samples == samples
-    assert open_any(tmp_path / "attachment.bin", topic="/plant/sample").topic == "/plant/sample"
+    assert (
+        open_any(tmp_path / "attachment.bin", topic="/plant/sample").topic
+        == "/plant/sample"
+    )
     with pytest.raises(SessionError, match="/b/plant/sample of type"):
         open_any(tmp_path / "attachment.bin", topic="/b/plant/sample")
 
@@ -275,7 +337,11 @@ def test_a_session_file_opens_whatever_its_name(tmp_path):
         ("a.mcap", b"garbage", "is not a session"),
         ("a.mat", b"garbage", "is not a MATLAB file"),
         ("a.csv", b"garbage", "give column names and at least two rows"),
-        ("a.txt", b"garbage", r"is neither a session \(folder or \.mcap\) nor a recording \(\.mat, \.csv\)$"),
+        (
+            "a.txt",
+            b"garbage",
+            r"is neither a session \(folder or \.mcap\) nor a recording \(\.mat, \.csv\)$",
+        ),
         ("a", b"MATLAB 5.0 MAT-file, x", r"a MATLAB file needs the suffix \.mat"),
     ],
 )

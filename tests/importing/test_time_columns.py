@@ -26,7 +26,10 @@ def table_of(folder: Path, header: str, rows: list[str]) -> Table:
 
 
 def guess(table: Table) -> dict[str, str]:
-    return {signal: source.text for signal, source in proposed(columns_of(table), table).items()}
+    return {
+        signal: source.text
+        for signal, source in proposed(columns_of(table), table).items()
+    }
 
 
 def seconds_of(table: Table, time: str) -> FloatArray:
@@ -37,7 +40,13 @@ def clock(seconds: float, form: str) -> str:
     hours, rest = divmod(seconds, 3600.0)
     minutes, last = divmod(rest, 60.0)
     half = "AM" if hours < 12 else "PM"
-    numbers = {"h": int(hours), "m": int(minutes), "s": last, "w": int(last), "t": int(hours - 1) % 12 + 1}
+    numbers = {
+        "h": int(hours),
+        "m": int(minutes),
+        "s": last,
+        "w": int(last),
+        "t": int(hours - 1) % 12 + 1,
+    }
     return form.format(**numbers, half=half)
 
 
@@ -74,21 +83,34 @@ def test_dates_are_read_as_programs_write_them(tmp_path: Path, form: str) -> Non
     assert np.diff(seconds_of(table, "when")).tolist() == pytest.approx([2.0] * 24)
 
 
-@pytest.mark.parametrize("title", ["ms", "millis", "millis()", "time_ms", "uptime millis"])
+@pytest.mark.parametrize(
+    "title", ["ms", "millis", "millis()", "time_ms", "uptime millis"]
+)
 def test_a_title_may_be_the_unit(tmp_path: Path, title: str) -> None:
-    table = table_of(tmp_path, f"{title},T,heater", [f"{2000 * k},{20 + k % 3},{k % 2}" for k in range(25)])
+    table = table_of(
+        tmp_path,
+        f"{title},T,heater",
+        [f"{2000 * k},{20 + k % 3},{k % 2}" for k in range(25)],
+    )
     assert np.diff(seconds_of(table, guess(table)["time"])).tolist() == [2.0] * 24
 
 
 def test_a_time_of_day_continues_past_midnight(tmp_path: Path) -> None:
-    rows = [f"{clock((86_380.0 + 2.0 * k) % 86_400.0, '{h:02d}:{m:02d}:{w:02d}')},{k % 3}" for k in range(30)]
-    assert np.diff(seconds_of(table_of(tmp_path, "Time,T", rows), "Time")).tolist() == [2.0] * 29
+    rows = [
+        f"{clock((86_380.0 + 2.0 * k) % 86_400.0, '{h:02d}:{m:02d}:{w:02d}')},{k % 3}"
+        for k in range(30)
+    ]
+    assert (
+        np.diff(seconds_of(table_of(tmp_path, "Time,T", rows), "Time")).tolist()
+        == [2.0] * 29
+    )
 
 
 def test_two_numbers_are_asked_about(tmp_path: Path) -> None:
     table = table_of(tmp_path, "Time,T", [f"00:{k:02d},{k % 3}" for k in range(30)])
     with pytest.raises(
-        RecordingError, match=r"hours and minutes, or minutes and seconds\? .*unit=h.*unit=min"
+        RecordingError,
+        match=r"hours and minutes, or minutes and seconds\? .*unit=h.*unit=min",
     ):
         seconds_of(table, "Time")
     assert np.diff(seconds_of(table, "Time; unit=min")).tolist() == [1.0] * 29
@@ -98,18 +120,27 @@ def test_two_numbers_are_asked_about(tmp_path: Path) -> None:
 @pytest.mark.parametrize("date", ["2026-03-02", "02.03.2026", "2026/03/02"])
 def test_date_and_time_may_be_in_two_columns(tmp_path: Path, date: str) -> None:
     rows = [
-        f"{date},{clock(50_000.0 + 5 * k, '{h:02d}:{m:02d}:{w:02d}')},{20 + k % 3},{k % 2}" for k in range(25)
+        f"{date},{clock(50_000.0 + 5 * k, '{h:02d}:{m:02d}:{w:02d}')},{20 + k % 3},{k % 2}"
+        for k in range(25)
     ]
     table = table_of(tmp_path, "Date,Time,T,heater", rows)
     assert guess(table)["time"] == "Date, Time"
-    times = times_of(table, with_titles(table, parse_map(["time=Date, Time"]).sources["time"]), None)
+    times = times_of(
+        table, with_titles(table, parse_map(["time=Date, Time"]).sources["time"]), None
+    )
     assert np.diff(times.seconds).tolist() == [5.0] * 24
     assert times.origin == 1_772_409_600.0 + 50_000.0
 
 
-@pytest.mark.parametrize("title", ["Record", "No.", "Rec #", "sample number", "index", ""])
+@pytest.mark.parametrize(
+    "title", ["Record", "No.", "Rec #", "sample number", "index", ""]
+)
 def test_a_number_of_the_row_is_not_a_time(tmp_path: Path, title: str) -> None:
-    table = table_of(tmp_path, f"{title},T,heater", [f"{k},{20 + k % 3},{k % 2}" for k in range(1, 30)])
+    table = table_of(
+        tmp_path,
+        f"{title},T,heater",
+        [f"{k},{20 + k % 3},{k % 2}" for k in range(1, 30)],
+    )
     assert "time" not in guess(table)
 
 
@@ -130,12 +161,16 @@ def two_clocks(second: str, *, per_row: float = 0.5) -> tuple[str, list[str]]:
             "epoch time": f"{1_700_000_000 + 0.5 * k}",
             "elapsed": f"{0.5 * k:g}",
         }
-        rows.append(f"{1000 * per_row * k:g},{forms[second]},{20 + k % 5},{k // 10 % 2}")
+        rows.append(
+            f"{1000 * per_row * k:g},{forms[second]},{20 + k % 5},{k // 10 % 2}"
+        )
     return f"time (s),{second},T,heater", rows
 
 
 @pytest.mark.parametrize("second", ["when", "elapsed (s)", "millis", "epoch time"])
-def test_two_clocks_that_disagree_are_said_with_the_way_out(tmp_path: Path, second: str) -> None:
+def test_two_clocks_that_disagree_are_said_with_the_way_out(
+    tmp_path: Path, second: str
+) -> None:
     table = table_of(tmp_path, *two_clocks(second))
     message = (
         r"by 'time \(s\)' the rows are 500 s apart, by '.*' 0.5 s; if 'time \(s\)' counts ms, write "
@@ -143,11 +178,17 @@ def test_two_clocks_that_disagree_are_said_with_the_way_out(tmp_path: Path, seco
     )
     with pytest.raises(RecordingError, match=message):
         seconds_of(table, "time (s)")
-    assert np.diff(seconds_of(table, "time (s); unit=ms")).tolist() == pytest.approx([0.5] * 59)
-    assert np.diff(seconds_of(table, "time (s); unit=s")).tolist() == pytest.approx([500.0] * 59)
+    assert np.diff(seconds_of(table, "time (s); unit=ms")).tolist() == pytest.approx(
+        [0.5] * 59
+    )
+    assert np.diff(seconds_of(table, "time (s); unit=s")).tolist() == pytest.approx(
+        [500.0] * 59
+    )
 
 
-@pytest.mark.parametrize("second", ["when", "elapsed (s)", "millis", "epoch time", "elapsed"])
+@pytest.mark.parametrize(
+    "second", ["when", "elapsed (s)", "millis", "epoch time", "elapsed"]
+)
 def test_clocks_that_agree_are_not_spoken_of(tmp_path: Path, second: str) -> None:
     table = table_of(tmp_path, *two_clocks(second, per_row=0.0005))
     assert np.diff(seconds_of(table, "time (s)")).tolist() == pytest.approx([0.5] * 59)
@@ -166,11 +207,30 @@ def test_each_command_says_that_two_clocks_disagree(
     table = table_of(tmp_path, *two_clocks("when")).path
     plant = plant_file(tmp_path, f"block_{command.replace('-', '_')}")
     arguments = {
-        "new-plant": ["new-plant", "kettle_clocks", "--from", str(table), "-o", str(tmp_path)],
+        "new-plant": [
+            "new-plant",
+            "kettle_clocks",
+            "--from",
+            str(table),
+            "-o",
+            str(tmp_path),
+        ],
         "check-plant": ["check-plant", str(plant), "--data", str(table), "--map"],
-        "import": ["import", str(table), "--plant", str(plant), "-o", str(tmp_path / "session"), "--map"],
+        "import": [
+            "import",
+            str(table),
+            "--plant",
+            str(plant),
+            "-o",
+            str(tmp_path / "session"),
+            "--map",
+        ],
     }[command]
-    signals = ["time=time (s)", "output=T", "heater=heater"] if arguments[-1] == "--map" else []
+    signals = (
+        ["time=time (s)", "output=T", "heater=heater"]
+        if arguments[-1] == "--map"
+        else []
+    )
     assert main([*arguments, *signals]) == 2
     assert "unit=ms" in capsys.readouterr().err
     assert not (tmp_path / "kettle_clocks.py").exists()
@@ -185,14 +245,24 @@ def test_a_recording_of_the_rig_with_two_clocks_is_refused(tmp_path: Path) -> No
         read_recording(path)
 
 
-def test_a_second_clock_without_a_unit_is_a_note(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_second_clock_without_a_unit_is_a_note(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     table = table_of(tmp_path, *two_clocks("elapsed"))
-    assert main(["new-plant", "kettle_note", "--from", str(table.path), "-o", str(tmp_path)]) == 0
+    assert (
+        main(
+            ["new-plant", "kettle_note", "--from", str(table.path), "-o", str(tmp_path)]
+        )
+        == 0
+    )
     assert "Note: Two clocks: by 'time (s)'" in capsys.readouterr().out
 
 
-def test_times_count_since_1904_where_they_would_be_far_in_the_future(tmp_path: Path) -> None:
-    rows = [f"{3_878_755_200 + 5 * k}.25,{20 + k % 3},{k % 2}" for k in range(25)]  # 2026-11-28, by LabVIEW
+def test_times_count_since_1904_where_they_would_be_far_in_the_future(
+    tmp_path: Path,
+) -> None:
+    # 2026-11-28, by LabVIEW
+    rows = [f"{3_878_755_200 + 5 * k}.25,{20 + k % 3},{k % 2}" for k in range(25)]
     table = table_of(tmp_path, "Timestamp,T,heater", rows)
     times = times_of(table, parse_map(["time=Timestamp"]).sources["time"], None)
     assert times.origin == 1_795_910_400.25
@@ -206,17 +276,29 @@ def test_times_count_since_1904_where_they_would_be_far_in_the_future(tmp_path: 
         ("2026-11-28 23:50:{:02d} EST", 1_795_927_800.0),
     ],
 )
-def test_names_of_time_zones_are_read(tmp_path: Path, form: str, seconds: float) -> None:
-    table = table_of(tmp_path, "when,T,heater", [f"{form.format(2 * k)},{20 + k},{k % 2}" for k in range(25)])
+def test_names_of_time_zones_are_read(
+    tmp_path: Path, form: str, seconds: float
+) -> None:
+    table = table_of(
+        tmp_path,
+        "when,T,heater",
+        [f"{form.format(2 * k)},{20 + k},{k % 2}" for k in range(25)],
+    )
     times = times_of(table, parse_map(["time=when"]).sources["time"], None)
     assert times.origin == seconds
     assert np.diff(times.seconds).tolist() == [2.0] * 24
 
 
 def test_two_numbers_are_guessed_as_times_and_asked_about(tmp_path: Path) -> None:
-    table = table_of(tmp_path, "Time,T,heater", [f"10:{k:02d},{20 + k % 3},{k % 2}" for k in range(25)])
+    table = table_of(
+        tmp_path,
+        "Time,T,heater",
+        [f"10:{k:02d},{20 + k % 3},{k % 2}" for k in range(25)],
+    )
     assert guess(table) == {"time": "Time", "output": "T", "input": "heater"}
-    with pytest.raises(RecordingError, match="hours and minutes, or minutes and seconds"):
+    with pytest.raises(
+        RecordingError, match="hours and minutes, or minutes and seconds"
+    ):
         seconds_of(table, "Time")
 
 
@@ -226,7 +308,14 @@ def test_a_line_of_counts_below_stacked_series_is_left_out(tmp_path: Path) -> No
         rows.append(f"T;28.11.2026 23:50:{2 * k % 60:02d};{20 + k % 3};1")
         rows.append(f"heater;28.11.2026 23:50:{2 * k % 60:02d};{k % 2};1")
     path = tmp_path / "wincc.csv"
-    path.write_text("\n".join(["VarName;TimeString;VarValue;Validity", *rows, "$COUNT$;60;;"]), "utf-8")
+    path.write_text(
+        "\n".join(["VarName;TimeString;VarValue;Validity", *rows, "$COUNT$;60;;"]),
+        "utf-8",
+    )
     table = open_table(path)
-    assert guess(table) == {"time": "TimeString", "output": "VarValue[T]", "input": "VarValue[heater]"}
+    assert guess(table) == {
+        "time": "TimeString",
+        "output": "VarValue[T]",
+        "input": "VarValue[heater]",
+    }
     assert table.notes == ("Line 62 is not a row and is left out: '$COUNT$'.",)

@@ -30,12 +30,33 @@ def device() -> Iterator[str]:
     running.end()
 
 
-def test_a_page_that_cannot_be_served_leaves_no_thread_of_the_source(device: str, tmp_path: Path) -> None:
+def test_a_page_that_cannot_be_served_leaves_no_thread_of_the_source(
+    device: str, tmp_path: Path
+) -> None:
     before = set(threading.enumerate())
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        words = ["attach", "--alone", "--no-record", "--source", device, "--plant", oven_file(tmp_path)]
-        words += ["--period", f"{PERIOD}", "--dashboard", listening.getsockname()[1], "--map", *PLACES]
+        words = [
+            "attach",
+            "--alone",
+            "--no-record",
+            "--source",
+            device,
+            "--plant",
+            oven_file(tmp_path),
+        ]
+        words += [
+            "--period",
+            f"{PERIOD}",
+            "--dashboard",
+            listening.getsockname()[1],
+            "--map",
+            *PLACES,
+        ]
         completed = run_twinmatch(*words, folder=tmp_path)
     assert completed.returncode == 2
     assert "Traceback" not in completed.stderr
-    assert not [thread.name for thread in set(threading.enumerate()) - before if thread.is_alive()]
+    assert not [
+        thread.name
+        for thread in set(threading.enumerate()) - before
+        if thread.is_alive()
+    ]

@@ -26,7 +26,9 @@ class ErrorScreen:
         self.lines: list[str] = []
         self._errors = Errors(lambda text, _: self.lines.append(text))
 
-    def take(self, name: str, message: str, level: bytes = DiagnosticStatus.ERROR) -> list[str]:
+    def take(
+        self, name: str, message: str, level: bytes = DiagnosticStatus.ERROR
+    ) -> list[str]:
         """Take a report; returns the new lines."""
         before = len(self.lines)
         status = DiagnosticStatus(level=level, name=name, message=message)
@@ -40,29 +42,45 @@ def screen() -> Iterator[ErrorScreen]:
 
 
 def test_an_error_is_shown_once_while_it_stands(screen: ErrorScreen) -> None:
-    assert screen.take("a: health", "no image for 3 s") == ["a: health: no image for 3 s"]
+    assert screen.take("a: health", "no image for 3 s") == [
+        "a: health: no image for 3 s"
+    ]
     assert screen.take("a: health", "no image for 4 s") == []
-    assert screen.take("a: health", "working", DiagnosticStatus.OK) == ["a: health: recovered"]
-    assert screen.take("a: health", "no image for 3 s") == ["a: health: no image for 3 s"]
+    assert screen.take("a: health", "working", DiagnosticStatus.OK) == [
+        "a: health: recovered"
+    ]
+    assert screen.take("a: health", "no image for 3 s") == [
+        "a: health: no image for 3 s"
+    ]
 
 
-def test_of_a_report_only_what_is_new_is_shown_and_of_several_nodes_the_first(screen: ErrorScreen) -> None:
+def test_of_a_report_only_what_is_new_is_shown_and_of_several_nodes_the_first(
+    screen: ErrorScreen,
+) -> None:
     first = "refused: /s: sample 3 has 0 outputs; give one"
     second = "refused: /s: its time is negative"
     assert screen.take("a: health", first) == [f"a: health: {first}"]
     assert screen.take("a: health", f"{first}; {second}") == [f"a: health: {second}"]
     assert screen.take("b: health", f"{second}; {first}") == []
-    assert screen.take("b: health", f"{second}; refused: /c: x") == ["b: health: refused: /c: x"]
+    assert screen.take("b: health", f"{second}; refused: /c: x") == [
+        "b: health: refused: /c: x"
+    ]
 
 
-def test_what_is_shown_is_one_printable_line_of_bounded_length(screen: ErrorScreen) -> None:
-    [line] = screen.take("\x1b]0;owned\x07", "\x1b[2J\nrig: health: recovered" + "x" * 40_000)
+def test_what_is_shown_is_one_printable_line_of_bounded_length(
+    screen: ErrorScreen,
+) -> None:
+    [line] = screen.take(
+        "\x1b]0;owned\x07", "\x1b[2J\nrig: health: recovered" + "x" * 40_000
+    )
     assert line.startswith(r"\x1b]0;owned\x07: \x1b[2J\nrig: health")
     assert line.isprintable()
     assert len(line) < 2 * Errors.MAX_TEXT
 
 
-def test_refusals_of_a_whole_graph_are_a_page_and_not_a_log(screen: ErrorScreen) -> None:
+def test_refusals_of_a_whole_graph_are_a_page_and_not_a_log(
+    screen: ErrorScreen,
+) -> None:
     """360 messages without meaning, each refused by eleven nodes, would be 38 kB."""
     drawn = Nonsense(seed=27)
     nodes = {f"node_{k}": NodeHealth() for k in range(11)}
@@ -105,6 +123,8 @@ def test_a_flood_of_errors_ends(screen: ErrorScreen) -> None:
 
 
 def test_a_fault_of_the_plant_is_left_to_the_verdicts(screen: ErrorScreen) -> None:
-    assert not screen.take("rig_a/discriminator: plant", "drive-lost: the input has no effect")
+    assert not screen.take(
+        "rig_a/discriminator: plant", "drive-lost: the input has no effect"
+    )
     assert screen.take("boiler: plant", "it is cold") == ["boiler: plant: it is cold"]
     assert screen.take("rig_a/discriminator: health", "broken")

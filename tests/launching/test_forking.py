@@ -35,9 +35,13 @@ def program(tmp_path: Path) -> str:
     return str(path)
 
 
-def start(server: ForkServer, output: Path, *words: str, folder: Path | None = None) -> Forked:
+def start(
+    server: ForkServer, output: Path, *words: str, folder: Path | None = None
+) -> Forked:
     with output.open("w") as stream:
-        return server.start(*words, output=stream.fileno(), environment={"A": "b"}, folder=folder)
+        return server.start(
+            *words, output=stream.fileno(), environment={"A": "b"}, folder=folder
+        )
 
 
 def lines_of(output: Path, number: int = 2) -> list[str]:
@@ -45,13 +49,23 @@ def lines_of(output: Path, number: int = 2) -> list[str]:
     return output.read_text().splitlines()
 
 
-def test_a_program_finds_what_it_would_if_it_were_started(tmp_path: Path, program: str) -> None:
+def test_a_program_finds_what_it_would_if_it_were_started(
+    tmp_path: Path, program: str
+) -> None:
     """Its words, folder, environment, name, a session of its own, and this process as its parent."""
     output = tmp_path / "output"
     forked = start(fork_server(), output, program, "3", "x", folder=tmp_path)
     assert forked.wait(PATIENCE) == 3
     reported, error = lines_of(output)
-    expected = [["3", "x"], str(tmp_path), {"A": "b"}, os.getpid(), forked.pid, "program.py", "__main__"]
+    expected = [
+        ["3", "x"],
+        str(tmp_path),
+        {"A": "b"},
+        os.getpid(),
+        forked.pid,
+        "program.py",
+        "__main__",
+    ]
     assert json.loads(reported) == expected
     assert error == "a line with an error"
 
@@ -59,13 +73,17 @@ def test_a_program_finds_what_it_would_if_it_were_started(tmp_path: Path, progra
 def test_a_module_is_run_like_with_m(tmp_path: Path) -> None:
     """With the same words and exit code as started by itself."""
     words = ["-m", "twinmatch.nodes", "nobody"]
-    alone = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
+    alone = subprocess.run(
+        [sys.executable, *words], capture_output=True, text=True, check=False
+    )
     forked = start(fork_server(), tmp_path / "output", *words)
     assert forked.wait(PATIENCE) == alone.returncode == 2
     assert (tmp_path / "output").read_text() == alone.stderr
 
 
-def test_what_every_program_would_do_first_is_done_for_all_of_them(tmp_path: Path) -> None:
+def test_what_every_program_would_do_first_is_done_for_all_of_them(
+    tmp_path: Path,
+) -> None:
     """Creating a node imports a parser of message types, and the first kernel starts numba."""
     path = tmp_path / "first.py"
     path.write_text(
@@ -73,7 +91,9 @@ def test_what_every_program_would_do_first_is_done_for_all_of_them(tmp_path: Pat
         "print(rtsys._init, *({'lark', 'service_msgs', 'type_description_interfaces'} - set(sys.modules)))\n"
     )
     output = tmp_path / "output"
-    assert start(fork_server(), output, str(path)).wait(PATIENCE) == 0, output.read_text()
+    assert start(fork_server(), output, str(path)).wait(PATIENCE) == 0, (
+        output.read_text()
+    )
     assert lines_of(output, 1) == ["True"]
 
 
@@ -90,7 +110,9 @@ def test_it_is_signalled_and_waited_for(tmp_path: Path, program: str) -> None:
     assert forked.returncode == -signal.SIGTERM
 
 
-def test_a_server_that_is_killed_is_replaced_and_its_programs_continue(tmp_path: Path, program: str) -> None:
+def test_a_server_that_is_killed_is_replaced_and_its_programs_continue(
+    tmp_path: Path, program: str
+) -> None:
     children_before = set(Process.children_of(os.getpid()))
     server = ForkServer()
     (server_id,) = set(Process.children_of(os.getpid())) - children_before
@@ -124,12 +146,17 @@ def test_without_its_parent_it_ends(tmp_path: Path, program: str) -> None:
         status = Path(f"/proc/{process}/stat")
 
         def gone(status: Path = status) -> bool:
-            return not status.exists() or status.read_text().rsplit(")", 1)[1].split()[0] == "Z"
+            return (
+                not status.exists()
+                or status.read_text().rsplit(")", 1)[1].split()[0] == "Z"
+            )
 
         wait_for(gone, f"the end of {status}")
 
 
-def test_an_interrupted_program_shows_no_traceback(tmp_path: Path, program: str) -> None:
+def test_an_interrupted_program_shows_no_traceback(
+    tmp_path: Path, program: str
+) -> None:
     output = tmp_path / "output"
     forked = start(fork_server(), output, program, "wait")
     lines_of(output)
@@ -152,7 +179,9 @@ for thread in threads:
 
 
 @pytest.mark.parametrize("threads", [6, 20])
-def test_a_program_that_had_many_threads_ends_by_itself(tmp_path: Path, threads: int) -> None:
+def test_a_program_that_had_many_threads_ends_by_itself(
+    tmp_path: Path, threads: int
+) -> None:
     """The memory of stacks that are no longer used is given back; the tracer's own threads had some, too."""
     path = tmp_path / "threads.py"
     path.write_text(MANY_THREADS)

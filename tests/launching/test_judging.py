@@ -11,7 +11,9 @@ from twinmatch.signals import Sample
 from twinmatch.twin import Mirror, MirrorState, TwinSettings
 
 
-def test_a_defect_in_what_is_shown_costs_no_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_defect_in_what_is_shown_costs_no_verdict(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     real = Mirror.push
 
     def broken(mirror: Mirror, sample: Sample) -> MirrorState:
@@ -29,7 +31,11 @@ def test_a_defect_in_what_is_shown_costs_no_verdict(monkeypatch: pytest.MonkeyPa
             judging.close()
 
     monkeypatch.setattr(Mirror, "push", broken)
-    with pytest.warns(DefectWarning, match="a sample could not be shown, because of a defect in"):
+    with pytest.warns(
+        DefectWarning, match="a sample could not be shown, because of a defect in"
+    ):
         results = judged(61)
     assert [result.sample.index for result in results if result.mirror is None] == [7]
-    assert [verdict.sample for result in results for verdict in result.outcome.verdicts] == [59]
+    assert [
+        verdict.sample for result in results for verdict in result.outcome.verdicts
+    ] == [59]

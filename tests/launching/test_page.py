@@ -37,8 +37,12 @@ from twinmatch.signals import Sample
 from twinmatch.twin import Settling, TwinSettings, filled_stretches
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
-pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
+pytest.importorskip(
+    "bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'"
+)
 
 from tests.support.places import LAUNCH_SCRIPTS
 from tests.support.processes import Process, run_twinmatch
@@ -55,7 +59,9 @@ from twinmatch.showing.lines import Lines
 def children() -> int:
     """Pages that this process started."""
     command = ["ps", "-o", "comm=", "--ppid", str(os.getpid())]
-    commands = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    commands = subprocess.run(
+        command, capture_output=True, text=True, check=True
+    ).stdout
     return commands.split().count("dashboard")
 
 
@@ -106,15 +112,28 @@ def test_every_command_that_starts_nodes_has_it(command: str) -> None:
 def test_the_page_is_given_the_broker_it_tells(ros_domain: int) -> None:  # noqa: ARG001
     lines: list[str] = []
     with Page(0, tell="mqtt://127.0.0.1:1", show=lines.append):
-        wait_for(lambda: any("no MQTT broker at 127.0.0.1:1" in line for line in lines), "what it has tried")
+        wait_for(
+            lambda: any("no MQTT broker at 127.0.0.1:1" in line for line in lines),
+            "what it has tried",
+        )
 
 
 def test_after_a_replay_it_stays_until_ctrl_c(ros_domain: int, tmp_path: Path) -> None:  # noqa: ARG001
     samples = [Sample(k, 10**18 + k * 10**9, 50.0, 49.0, 20.0) for k in range(30)]
     session = write_session(tmp_path / "short", samples)
     environment = {**os.environ, "PYTHONUNBUFFERED": "1", "ROS_LOG_DIR": str(tmp_path)}
-    command = [sys.executable, LAUNCH_SCRIPTS / "replay.py", session, "--rate", "0", "--dashboard", "0"]
-    replay = Process(*command, output=tmp_path / "output.txt", environment=environment, forked=True)
+    command = [
+        sys.executable,
+        LAUNCH_SCRIPTS / "replay.py",
+        session,
+        "--rate",
+        "0",
+        "--dashboard",
+        "0",
+    ]
+    replay = Process(
+        *command, output=tmp_path / "output.txt", environment=environment, forked=True
+    )
     try:
         replay.said("the page stays open until Ctrl-C")
         address = replay.said(r"page: (\S+)")[1]
@@ -147,7 +166,9 @@ class Ending(Processes):
 
 
 def ending(name: str, code: int) -> tuple[Live, _LiveRun, Ending]:
-    plan = LivePlan(Path("rig.yaml"), session=Path("run"), virtual=VirtualPlan(speed=20.0))
+    plan = LivePlan(
+        Path("rig.yaml"), session=Path("run"), virtual=VirtualPlan(speed=20.0)
+    )
     live = Live(plan)
     live.results.samples.close()
     run = _LiveRun(live, Lines())
@@ -156,10 +177,18 @@ def ending(name: str, code: int) -> tuple[Live, _LiveRun, Ending]:
     return live, run, processes
 
 
-@pytest.mark.parametrize(("speed", "has_own_clock"), [(1.0, False), (0.5, True), (20.0, True)])
-def test_only_a_plant_that_is_not_at_real_time_has_its_own_clock(speed: float, has_own_clock: bool) -> None:
+@pytest.mark.parametrize(
+    ("speed", "has_own_clock"), [(1.0, False), (0.5, True), (20.0, True)]
+)
+def test_only_a_plant_that_is_not_at_real_time_has_its_own_clock(
+    speed: float, has_own_clock: bool
+) -> None:
     plan = LivePlan(Path("rig.yaml"), virtual=VirtualPlan(speed=speed))
-    for arguments in (plan.twin_arguments(), plan.recorder_arguments(Path("run")), plan.rig_arguments({})):
+    for arguments in (
+        plan.twin_arguments(),
+        plan.recorder_arguments(Path("run")),
+        plan.rig_arguments({}),
+    ):
         assert ("use_sim_time:=true" in arguments) is has_own_clock
 
 
@@ -170,8 +199,18 @@ def test_only_a_plant_that_is_not_at_real_time_has_its_own_clock(speed: float, h
         ("virtual_rig", 0, 0, "the virtual rig has ended"),
         ("rig", 1, 3, "rig was lost (code 1); the output is off"),
         ("virtual_rig", -9, 3, "virtual_rig was lost (code -9); the output is off"),
-        ("recorder", EXIT_DISK, 1, "recorder can no longer write the session; see its message above"),
-        ("twin", 2, 2, "twin rejected its configuration or input; see its message above"),
+        (
+            "recorder",
+            EXIT_DISK,
+            1,
+            "recorder can no longer write the session; see its message above",
+        ),
+        (
+            "twin",
+            2,
+            2,
+            "twin rejected its configuration or input; see its message above",
+        ),
     ],
 )
 def test_the_run_ends_with_what_it_cannot_do_without(
@@ -184,7 +223,9 @@ def test_the_run_ends_with_what_it_cannot_do_without(
 
 
 @pytest.mark.parametrize("name", ["twin", "recorder", "plant_clock"])
-def test_others_are_restarted_but_not_for_ever(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_others_are_restarted_but_not_for_ever(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     live, run, processes = ending(name, -9)
     for _ in range(_LiveRun.RESTARTS):
         assert run.check(Watch) is None  # type: ignore[arg-type]
@@ -216,7 +257,9 @@ def growth(step: Callable[[int], object], warm: int, count: int) -> int:
 
 
 @pytest.fixture(scope="module")
-def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Sample], list[Verdict]]:
+def judged(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[list[Sample], list[Verdict]]:
     """A session with two matches."""
     folder = tmp_path_factory.mktemp("judged") / "beginning"
     session = open_any(write_session(folder, read_session(SESSION).samples[:660]))
@@ -227,7 +270,10 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Sample], list
 def test_the_launcher_keeps_no_samples_in_memory() -> None:
     """A reference to each of them would take eight bytes."""
     live = Live(LivePlan(Path("rig.yaml")))
-    assert growth(lambda k: live.take_sample(Sample(k, k, 1.0, 2.0, 3.0)), 1000, 4000) < 4 * 4000
+    assert (
+        growth(lambda k: live.take_sample(Sample(k, k, 1.0, 2.0, 3.0)), 1000, 4000)
+        < 4 * 4000
+    )
     assert len(live.results.samples) == 5000
     live.results.samples.close()
 
@@ -244,7 +290,9 @@ def test_a_recording_keeps_nothing_of_what_it_has_written(tmp_path: Path) -> Non
     recording.add_topic(SAMPLE)
 
     def step(k: int) -> None:
-        recording.write(SAMPLE.name, encode_sample(Sample(k, k * 10**9, 1.0, 2.0, 3.0)), k * 10**9)
+        recording.write(
+            SAMPLE.name, encode_sample(Sample(k, k * 10**9, 1.0, 2.0, 3.0)), k * 10**9
+        )
         recording.flush()
 
     assert growth(step, 100, 400) < 20_000
@@ -252,16 +300,25 @@ def test_a_recording_keeps_nothing_of_what_it_has_written(tmp_path: Path) -> Non
     with (tmp_path / "long" / "long_0.mcap").open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
     assert summary is not None
-    assert [index.message_start_time // 10**9 for index in summary.chunk_indexes] == list(range(500))
+    assert [
+        index.message_start_time // 10**9 for index in summary.chunk_indexes
+    ] == list(range(500))
     assert len(read_session(tmp_path / "long").samples) == 500
 
 
-def test_the_view_keeps_what_it_shows(judged: tuple[list[Sample], list[Verdict]]) -> None:
+def test_the_view_keeps_what_it_shows(
+    judged: tuple[list[Sample], list[Verdict]],
+) -> None:
     _, verdicts = judged
     console = Console(file=io.StringIO(), width=200, height=200)
     screen = Screen(console, "live")
-    many = [replace(v, sample=v.sample + 10_000 * k) for k in range(20) for v in verdicts]
-    assert growth(lambda k: screen.take_verdict(many[k]), len(many) // 2, len(many) // 2) < 20_000
+    many = [
+        replace(v, sample=v.sample + 10_000 * k) for k in range(20) for v in verdicts
+    ]
+    assert (
+        growth(lambda k: screen.take_verdict(many[k]), len(many) // 2, len(many) // 2)
+        < 20_000
+    )
     console.print(screen)
     lines = console.file.getvalue().rpartition("\n\n")[2].splitlines()
     newest = events(many)[-MAX_EVENTS:]
@@ -305,9 +362,16 @@ def test_the_figures_of_the_end_are_those_of_all_samples_and_verdicts(
             live.take_sample(sample)
         for verdict in verdicts:
             live.take_verdict(verdict)
-        conclusion = conclude(live.results.tally, lambda live=live: live.results.longest(1.0), law)
+        conclusion = conclude(
+            live.results.tally, lambda live=live: live.results.longest(1.0), law
+        )
         expected = summarise(filled_stretches(received, settings), verdicts, law)
         assert live.received == len(received)
         assert repr(conclusion) == repr(expected)  # which makes nan equal to nan
         live.results.samples.close()
-    assert conclude(Tally(), lambda: pytest.fail("nobody to hold it against"), law).verdicts == 0
+    assert (
+        conclude(
+            Tally(), lambda: pytest.fail("nobody to hold it against"), law
+        ).verdicts
+        == 0
+    )

@@ -18,7 +18,13 @@ from tests.support.kits import BenchKit
 from tests.support.processes import Process
 from tests.support.waiting import wait_for
 from twinmatch.links.kit_keeper import is_pseudo_terminal, open_kit
-from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitSilentError, require_port
+from twinmatch.links.kit_link import (
+    KitAbsentError,
+    KitError,
+    KitLink,
+    KitSilentError,
+    require_port,
+)
 
 
 @pytest.fixture
@@ -49,8 +55,15 @@ def wait_for_both_off(kit: BenchKit) -> None:
 
 def keeper(kit: BenchKit) -> int:
     """Process id of who holds the port."""
-    words = {child: Path(f"/proc/{child}/cmdline").read_text() for child in Process.children_of(os.getpid())}
-    (holding,) = (child for child, line in words.items() if "kit_keeper" in line and kit.port in line)
+    words = {
+        child: Path(f"/proc/{child}/cmdline").read_text()
+        for child in Process.children_of(os.getpid())
+    }
+    (holding,) = (
+        child
+        for child, line in words.items()
+        if "kit_keeper" in line and kit.port in line
+    )
     return holding
 
 
@@ -102,7 +115,8 @@ def test_who_holds_the_port_is_killed_and_the_next_one_begins_with_zero_and_ends
     with pytest.raises(KitError, match="process that holds its port"):
         link.drive(80.0, 60.0)
     link.close()
-    assert kit.heaters == [80.0, 60.0]  # the firmware has no deadline: somebody has to say it
+    # the firmware has no deadline: somebody has to say it
+    assert kit.heaters == [80.0, 60.0]
     link.open()
     assert kit.heaters == [0.0, 0.0]
     link.drive(80.0, 60.0)
@@ -110,7 +124,9 @@ def test_who_holds_the_port_is_killed_and_the_next_one_begins_with_zero_and_ends
     wait_for_both_off(kit)
 
 
-def test_a_pulled_cable_is_an_error_and_a_returned_one_can_be_opened(kit: BenchKit, link: KitLink) -> None:
+def test_a_pulled_cable_is_an_error_and_a_returned_one_can_be_opened(
+    kit: BenchKit, link: KitLink
+) -> None:
     link.drive(80.0, 60.0)
     kit.unplug()
     with pytest.raises(KitError):
@@ -135,11 +151,13 @@ def test_who_holds_the_port_checks_commands_and_a_port_that_is_gone_is_an_error_
     assert kit.highest == 30.0
     kit.unplug()
     for _ in range(2):
-        with pytest.raises(OSError):  # noqa: PT011 (the words are the system's)
+        with pytest.raises(OSError):  # noqa: PT011
             board.off()
 
 
-def test_a_kit_that_answers_rubbish_is_switched_off(kit: BenchKit, link: KitLink) -> None:
+def test_a_kit_that_answers_rubbish_is_switched_off(
+    kit: BenchKit, link: KitLink
+) -> None:
     link.drive(40.0, 30.0)
     kit.shown[2] = math.nan
     with pytest.raises(KitError, match="T2 reads nan"):
@@ -174,14 +192,18 @@ def test_another_device_is_reported_as_such() -> None:
     master, slave = pty.openpty()
     try:
         require_port(os.ttyname(slave))
-        with pytest.raises(KitAbsentError, match="does not answer like a Temperature Control Lab"):
+        with pytest.raises(
+            KitAbsentError, match="does not answer like a Temperature Control Lab"
+        ):
             KitLink(os.ttyname(slave)).open()
     finally:
         os.close(master)
         os.close(slave)
 
 
-def test_without_the_package_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_package_it_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(KitAbsentError, match=r"pip install 'twinmatch\[tclab\]'"):
         KitLink("")

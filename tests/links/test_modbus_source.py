@@ -41,7 +41,12 @@ from twinmatch.links.modbus_source import (
     listing,
     open_source,
 )
-from twinmatch.parameters.sampler import listener_of, sampler_values, source_of, sources_of
+from twinmatch.parameters.sampler import (
+    listener_of,
+    sampler_values,
+    source_of,
+    sources_of,
+)
 from twinmatch.sampling.channels import Channel, SamplingError
 from twinmatch.sampling.listener import SignalListener
 from twinmatch.sampling.registers import (
@@ -65,7 +70,14 @@ PLACES = (
     "output=holding/1:float32 little",
     "input=input/5:uint16; scale=0.01",
 )
-TYPES = {"int16": 16, "uint16": 16, "int32": 32, "uint32": 32, "int64": 64, "uint64": 64}
+TYPES = {
+    "int16": 16,
+    "uint16": 16,
+    "int32": 32,
+    "uint32": 32,
+    "int64": 64,
+    "uint64": 64,
+}
 DATATYPE = ModbusTcpClient.DATATYPE
 to_registers = ModbusTcpClient.convert_to_registers
 
@@ -82,13 +94,22 @@ class ServedOven:
         self.served.append(self._oven.step())
 
     async def read(
-        self, code: int, _start: int, address: int, count: int, words: list[int], _wanted: object
+        self,
+        code: int,
+        _start: int,
+        address: int,
+        count: int,
+        words: list[int],
+        _wanted: object,
     ) -> None:
         if (code, address, count) == (3, 0, 3):
             self._step()
         wanted, reading, heater = self.served[-1]
         if code == 3:
-            words[:3] = [round(100 * wanted), *to_registers(reading, DATATYPE.FLOAT32, "little")]
+            words[:3] = [
+                round(100 * wanted),
+                *to_registers(reading, DATATYPE.FLOAT32, "little"),
+            ]
         if code == 4:
             words[5] = round(100 * heater)
 
@@ -108,7 +129,10 @@ class RunningDevice:
     """A server in a thread with a loop of its own, which may be ended and started again."""
 
     def __init__(
-        self, make: Callable[[SimDevice, Any], ModbusBaseServer], device: SimDevice, url: str
+        self,
+        make: Callable[[SimDevice, Any], ModbusBaseServer],
+        device: SimDevice,
+        url: str,
     ) -> None:
         self.url = url
         self.codes = set[int]()
@@ -134,7 +158,9 @@ class RunningDevice:
     def end(self) -> None:
         """As if it lost its power."""
         if self._thread.is_alive():
-            asyncio.run_coroutine_threadsafe(self._shutdown(), self._loop).result(PATIENCE)
+            asyncio.run_coroutine_threadsafe(self._shutdown(), self._loop).result(
+                PATIENCE
+            )
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join()
             self._loop.close()
@@ -188,7 +214,9 @@ def line(oven: ServedOven) -> Iterator[RunningDevice]:
     wire.start()
 
     def make(simulated: SimDevice, trace: Any) -> ModbusBaseServer:
-        return ModbusSerialServer(simulated, port=os.ttyname(their_end), baudrate=115200, trace_pdu=trace)
+        return ModbusSerialServer(
+            simulated, port=os.ttyname(their_end), baudrate=115200, trace_pdu=trace
+        )
 
     url = f"modbus+rtu://{os.ttyname(our_end)}?baud=115200&unit=1"
     running = RunningDevice(make, oven.device(), url)
@@ -225,7 +253,12 @@ class Listening:
             self.samples += self.listener.samples()
             return condition()
 
-        wait_for(look, lambda: f"{what}; {len(self.samples)} samples, {self.listener.trouble('output')}")
+        wait_for(
+            look,
+            lambda: (
+                f"{what}; {len(self.samples)} samples, {self.listener.trouble('output')}"
+            ),
+        )
 
 
 @pytest.fixture
@@ -243,7 +276,9 @@ def listen(plant: str) -> Iterator[Callable[..., Listening]]:
 
 def assert_served(samples: list[Sample], oven: ServedOven) -> None:
     """Each sample is one tick as it was served: a float32, and hundredths in integers."""
-    ticks = {float(np.float32(reading)): k for k, (_, reading, _) in enumerate(oven.served)}
+    ticks = {
+        float(np.float32(reading)): k for k, (_, reading, _) in enumerate(oven.served)
+    }
     order = [ticks[sample.output] for sample in samples]
     assert order == sorted(set(order))
     for tick, sample in zip(order, samples, strict=True):
@@ -280,7 +315,10 @@ def test_a_device_that_is_off_for_a_while_leaves_a_gap_and_is_reported(
     listening.until(lambda: len(listening.samples) > 5, "samples")
     device.end()
     no_connection = "no connection .*Connection refused"
-    listening.until(lambda: re.search(no_connection, listening.listener.trouble("output")), "what is wrong")
+    listening.until(
+        lambda: re.search(no_connection, listening.listener.trouble("output")),
+        "what is wrong",
+    )
     assert "holding/0-2" in listening.listener.trouble("output")
     before = len(listening.samples)
     device.start()
@@ -298,7 +336,10 @@ def test_a_line_that_falls_silent_is_reported_and_read_again(
     listening.until(lambda: len(listening.samples) > 5, "samples")
     line.end()
     listening.until(
-        lambda: "no valid answer within 1 s; check unit, baud" in listening.listener.trouble("output"),
+        lambda: (
+            "no valid answer within 1 s; check unit, baud"
+            in listening.listener.trouble("output")
+        ),
         "silence",
     )
     before = len(listening.samples)
@@ -350,11 +391,19 @@ class AnsweringWrongly:
         self._thread.join()
 
 
-def framed(request: bytes, pdu: bytes, *, transaction: int = 0, unit: int = 1, longer: int = 0) -> bytes:
+def framed(
+    request: bytes, pdu: bytes, *, transaction: int = 0, unit: int = 1, longer: int = 0
+) -> bytes:
     """An answer to a request over TCP, with a transaction and a length that are off by so many."""
     number = (int.from_bytes(request[:2], "big") + transaction) % 65536
     length = len(pdu) + 1 + longer
-    return number.to_bytes(2, "big") + b"\0\0" + length.to_bytes(2, "big") + bytes((unit,)) + pdu
+    return (
+        number.to_bytes(2, "big")
+        + b"\0\0"
+        + length.to_bytes(2, "big")
+        + bytes((unit,))
+        + pdu
+    )
 
 
 RIGHT = bytes((3, 4, 0, 1, 0, 2))
@@ -376,22 +425,55 @@ RIGHT = bytes((3, 4, 0, 1, 0, 2))
             lambda r: framed(r, bytes((6, 0, 0, 0, 2))),
             "the answer is of function 6, but function 3 was asked",
         ),
-        (lambda r: framed(r, bytes((0x84, 2))), "the answer is of function 4, but function 3 was asked"),
-        (lambda r: framed(r, bytes((3, 5, 0, 1, 0, 2))), "states 5 and has 4 bytes of values, not 4"),
-        (lambda r: framed(r, bytes((3, 3, 0, 1, 0, 2))), "states 3 and has 4 bytes of values, not 4"),
-        (lambda r: framed(r, bytes((3, 4, 0, 1, 0, 2, 0))), "states 4 and has 5 bytes of values, not 4"),
-        (lambda r: framed(r, bytes((3, 2, 0, 1))), "states 2 and has 2 bytes of values, not 4"),
+        (
+            lambda r: framed(r, bytes((0x84, 2))),
+            "the answer is of function 4, but function 3 was asked",
+        ),
+        (
+            lambda r: framed(r, bytes((3, 5, 0, 1, 0, 2))),
+            "states 5 and has 4 bytes of values, not 4",
+        ),
+        (
+            lambda r: framed(r, bytes((3, 3, 0, 1, 0, 2))),
+            "states 3 and has 4 bytes of values, not 4",
+        ),
+        (
+            lambda r: framed(r, bytes((3, 4, 0, 1, 0, 2, 0))),
+            "states 4 and has 5 bytes of values, not 4",
+        ),
+        (
+            lambda r: framed(r, bytes((3, 2, 0, 1))),
+            "states 2 and has 2 bytes of values, not 4",
+        ),
         (lambda r: framed(r, bytes((3,))), "has 0 bytes of values, not 4"),
-        (lambda r: framed(r, bytes((3, 0))), "0 bytes of values: the device has none there now"),
-        (lambda r: framed(r, RIGHT, unit=2), "the answer is damaged, or belongs to another"),
-        (lambda r: framed(r, RIGHT, transaction=1), "belongs to another request, number 2 instead of 1: "),
+        (
+            lambda r: framed(r, bytes((3, 0))),
+            "0 bytes of values: the device has none there now",
+        ),
+        (
+            lambda r: framed(r, RIGHT, unit=2),
+            "the answer is damaged, or belongs to another",
+        ),
+        (
+            lambda r: framed(r, RIGHT, transaction=1),
+            "belongs to another request, number 2 instead of 1: ",
+        ),
         (
             lambda r: framed(r, RIGHT, transaction=-1),
             "the answer is damaged, or belongs to another",
         ),
-        (lambda r: framed(r, RIGHT, longer=1), "the answer is damaged, or belongs to another"),
-        (lambda r: framed(r, RIGHT, longer=-1), "states 4 and has 3 bytes of values, not 4"),
-        (lambda r: framed(r, bytes((0x55, 4, 0, 1, 0, 2))), "the answer is damaged, or belongs to another"),
+        (
+            lambda r: framed(r, RIGHT, longer=1),
+            "the answer is damaged, or belongs to another",
+        ),
+        (
+            lambda r: framed(r, RIGHT, longer=-1),
+            "states 4 and has 3 bytes of values, not 4",
+        ),
+        (
+            lambda r: framed(r, bytes((0x55, 4, 0, 1, 0, 2))),
+            "the answer is damaged, or belongs to another",
+        ),
     ],
 )
 def test_what_answers_another_request_is_not_taken_as_values(
@@ -402,7 +484,8 @@ def test_what_answers_another_request_is_not_taken_as_values(
     with pytest.raises(ModbusError) as caught:
         device.read(("holding", 0, 2))
     assert words in str(caught.value)
-    assert not isinstance(caught.value, RefusedReadError)  # a listing would halve the range for ever
+    # a listing would halve the range for ever
+    assert not isinstance(caught.value, RefusedReadError)
     device.close()
     server.close()
 
@@ -418,7 +501,9 @@ def test_what_answers_the_request_is_taken_as_values() -> None:
 @pytest.mark.parametrize("size", [0, 1, 3])
 def test_bits_come_in_as_many_bytes_as_they_fill(size: int) -> None:
     answer = bytes((size, *range(size)))
-    with pytest.raises(SamplingError, match=rf"answer to coil/0-8 states {size} and has {size} bytes"):
+    with pytest.raises(
+        SamplingError, match=rf"answer to coil/0-8 states {size} and has {size} bytes"
+    ):
         values_in(answer, ("coil", 0, 9))
     assert values_in(bytes((2, 0b101, 1)), ("coil", 0, 9)) == {
         ("coil", k): int(k in (0, 2, 8)) for k in range(9)
@@ -442,14 +527,20 @@ def test_a_place_that_a_device_does_not_have_is_an_error_at_the_start(
     assert re.search(words, str(failed))
 
 
-def test_no_device_at_the_start_is_an_error_with_its_reason(listen: Callable[..., Listening]) -> None:
+def test_no_device_at_the_start_is_an_error_with_its_reason(
+    listen: Callable[..., Listening],
+) -> None:
     failed = listen(f"modbus://127.0.0.1:{free_port()}/1").listener.failed
     assert "holding/0: no connection ([Errno 111] Connection refused)" in str(failed)
     failed = listen("modbus+rtu:///dev/no_such_line").listener.failed
-    assert re.search(r"/dev/no_such_line: holding/0: no connection .*No such file", str(failed))
+    assert re.search(
+        r"/dev/no_such_line: holding/0: no connection .*No such file", str(failed)
+    )
 
 
-def test_bits_and_means_are_read(device: RunningDevice, listen: Callable[..., Listening]) -> None:
+def test_bits_and_means_are_read(
+    device: RunningDevice, listen: Callable[..., Listening]
+) -> None:
     listening = listen(
         device.url,
         PLACES[0],
@@ -501,18 +592,31 @@ def test_a_listing_shows_each_register_and_what_cannot_be_read(
 )
 def test_a_url_that_cannot_be_used_is_one_message(url: str) -> None:
     with pytest.raises(
-        ModbusError, match=r"this URL cannot be used; write modbus://HOST:PORT/UNIT or modbus\+rtu"
+        ModbusError,
+        match=r"this URL cannot be used; write modbus://HOST:PORT/UNIT or modbus\+rtu",
     ) as got:
         open_source(url, 1.0, [], lambda *_, **__: None)
     assert "\n" not in str(got.value)
 
 
 @pytest.mark.parametrize(
-    "setting", ["speed=1", "baud=fast", "baud=9", "parity=X", "stop=3", "unit=0", "unit=248", "unit="]
+    "setting",
+    [
+        "speed=1",
+        "baud=fast",
+        "baud=9",
+        "parity=X",
+        "stop=3",
+        "unit=0",
+        "unit=248",
+        "unit=",
+    ],
 )
 def test_a_setting_of_a_line_that_cannot_be_used_is_named(setting: str) -> None:
     with pytest.raises(ModbusError, match=f"{setting} cannot be used; write modbus"):
-        open_source(f"modbus+rtu:///dev/ttyUSB0?{setting}", 1.0, [], lambda *_, **__: None)
+        open_source(
+            f"modbus+rtu:///dev/ttyUSB0?{setting}", 1.0, [], lambda *_, **__: None
+        )
 
 
 @pytest.mark.parametrize(
@@ -527,27 +631,37 @@ def test_an_invalid_place_is_one_message(text: str) -> None:
         parse_place(text)
 
 
-@pytest.mark.parametrize("text", ["holding/9-3", "holding/0-65536", "holding/0-x", "wire/0-3"])
+@pytest.mark.parametrize(
+    "text", ["holding/9-3", "holding/0-65536", "holding/0-x", "wire/0-3"]
+)
 def test_an_invalid_range_is_one_message(text: str) -> None:
     with pytest.raises(SamplingError, match=r"is not a (range|place); write"):
         parse_range(text)
 
 
-def test_the_word_order_comes_through_maps_and_parameter_files(tmp_path: Path, plant: str) -> None:
+def test_the_word_order_comes_through_maps_and_parameter_files(
+    tmp_path: Path, plant: str
+) -> None:
     text = f"sampler:\n  ros__parameters:\n    plant: {plant}\n    source: modbus://plc/1\n"
-    text += (
-        "    map.input: holding/9\n    map.output: holding/100:float32 little, Input/4:INT32 Big; scale=0.1\n"
-    )
+    text += "    map.input: holding/9\n    map.output: holding/100:float32 little, Input/4:INT32 Big; scale=0.1\n"
     (tmp_path / "rig.yaml").write_text(text)
     values, _ = sampler_values(tmp_path / "rig.yaml", SignalMap())
     for source in (
         sources_of("rig", values)["output"],
-        parse_map(["output=holding/100:float32 little, input/4:int32 big; scale=0.1"]).sources["output"],
+        parse_map(
+            ["output=holding/100:float32 little, input/4:int32 big; scale=0.1"]
+        ).sources["output"],
     ):
         channels = source.channels("output", parse_place)
-        assert channels == (Channel("holding/100", "float32 little"), Channel("input/4", "int32 big"))
+        assert channels == (
+            Channel("holding/100", "float32 little"),
+            Channel("input/4", "int32 big"),
+        )
         assert source.scale == 0.1
-    assert [span_of(channel) for channel in channels] == [("holding", 100, 102), ("input", 4, 6)]
+    assert [span_of(channel) for channel in channels] == [
+        ("holding", 100, 102),
+        ("input", 4, 6),
+    ]
 
 
 def numbers() -> st.SearchStrategy[tuple[str, float]]:
@@ -560,7 +674,10 @@ def numbers() -> st.SearchStrategy[tuple[str, float]]:
         )
         for kind, bits in TYPES.items()
     ]
-    real = [st.tuples(st.just(f"float{bits}"), st.floats(width=bits, allow_nan=False)) for bits in (32, 64)]
+    real = [
+        st.tuples(st.just(f"float{bits}"), st.floats(width=bits, allow_nan=False))
+        for bits in (32, 64)
+    ]
     return st.one_of(*whole, *real)
 
 
@@ -585,14 +702,19 @@ def test_registers_give_the_number_that_pymodbus_put_into_them(
 
 
 @pytest.mark.parametrize("order", ["", " little", " swapped", " little swapped"])
-def test_an_absurd_real_number_proposes_the_order_in_which_it_is_a_reading(order: str) -> None:
-    words = to_registers(21.5, DATATYPE.FLOAT32, "little" if "little" in order else "big")
+def test_an_absurd_real_number_proposes_the_order_in_which_it_is_a_reading(
+    order: str,
+) -> None:
+    words = to_registers(
+        21.5, DATATYPE.FLOAT32, "little" if "little" in order else "big"
+    )
     if "swapped" in order:
         words = [int.from_bytes(word.to_bytes(2, "big"), "little") for word in words]
     values = {("holding", k): word for k, word in enumerate(words)}
     assert not doubt(values, Channel("holding/0", f"float32{order}"))
     others = [
-        Channel("holding/0", f"float32{other}") for other in ("", " little", " swapped", " little swapped")
+        Channel("holding/0", f"float32{other}")
+        for other in ("", " little", " swapped", " little swapped")
     ]
     doubts = list(filter(None, (doubt(values, other) for other in others)))
     assert all(f"holding/0:float32{order} is 21.5" in text for text in doubts)
@@ -601,7 +723,8 @@ def test_an_absurd_real_number_proposes_the_order_in_which_it_is_a_reading(order
 
 def test_a_listing_names_swapped_bytes_and_usual_marks() -> None:
     swapped = [
-        int.from_bytes(word.to_bytes(2, "big"), "little") for word in to_registers(21.3, DATATYPE.FLOAT32)
+        int.from_bytes(word.to_bytes(2, "big"), "little")
+        for word in to_registers(21.3, DATATYPE.FLOAT32)
     ]
     values = {("holding", k): word for k, word in enumerate([*swapped, 0x8000])}
     first, _, third = described(values, ("holding", 0, 3))
@@ -623,7 +746,9 @@ class Limited:
         count = int.from_bytes(request[10:12], "big")
         if code := self._refusal(self.requests, count):
             return framed(request, bytes((request[7] | 0x80, code)))
-        words = b"".join(address.to_bytes(2, "big") for address in range(first, first + count))
+        words = b"".join(
+            address.to_bytes(2, "big") for address in range(first, first + count)
+        )
         return framed(request, bytes((request[7], len(words))) + words)
 
 
@@ -633,7 +758,9 @@ def taken_from(server: AnsweringWrongly, *places: str) -> dict[str, float]:
     channels = [parse_place(place) for place in places]
 
     def receive(topic: str, read: Any, *_: Any, **__: Any) -> None:
-        taken[topic] = read(next(channel for channel in channels if channel.topic == topic))
+        taken[topic] = read(
+            next(channel for channel in channels if channel.topic == topic)
+        )
 
     source = open_source(server.url, PERIOD, channels, receive)
 
@@ -652,15 +779,24 @@ def taken_from(server: AnsweringWrongly, *places: str) -> dict[str, float]:
 def test_a_device_that_is_busy_is_asked_again_within_the_period() -> None:
     device = Limited(lambda number, _count: 6 * (number % 2))
     server = AnsweringWrongly(device)
-    assert taken_from(server, "holding/20", "holding/21") == {"holding/20": 20.0, "holding/21": 21.0}
-    assert device.requests >= 8  # two places, one joined request and a cycle, each of them twice
+    assert taken_from(server, "holding/20", "holding/21") == {
+        "holding/20": 20.0,
+        "holding/21": 21.0,
+    }
+    # two places, one joined request and a cycle, each of them twice
+    assert device.requests >= 8
     server.close()
 
 
 def test_requests_are_split_where_a_device_gives_one_register_each() -> None:
     server = AnsweringWrongly(Limited(lambda _number, count: 3 * (count > 1)))
-    assert taken_from(server, "holding/20", "holding/21") == {"holding/20": 20.0, "holding/21": 21.0}
-    with pytest.raises(ModbusError, match="gives one register per request, so that this number"):
+    assert taken_from(server, "holding/20", "holding/21") == {
+        "holding/20": 20.0,
+        "holding/21": 21.0,
+    }
+    with pytest.raises(
+        ModbusError, match="gives one register per request, so that this number"
+    ):
         taken_from(server, "holding/20:float32")
     server.close()
 
@@ -674,7 +810,9 @@ spans = st.builds(
 
 
 @given(st.lists(spans, max_size=200))
-def test_requests_have_what_is_wanted_and_nothing_else(wanted: list[tuple[str, int, int]]) -> None:
+def test_requests_have_what_is_wanted_and_nothing_else(
+    wanted: list[tuple[str, int, int]],
+) -> None:
     requests = joined(wanted)
     for table, first, end in wanted:
         assert any(t == table and f <= first and end <= e for t, f, e in requests)
@@ -686,8 +824,14 @@ def test_requests_have_what_is_wanted_and_nothing_else(wanted: list[tuple[str, i
 
 
 def test_the_page_leads_from_a_plc_to_a_verdict(tmp_path: Path) -> None:
-    page = (PROJECT / "docs" / "modbus.md").read_text("utf-8").replace("5020", str(free_port()))
-    [program] = re.findall(r"^```python plc\.py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    page = (
+        (PROJECT / "docs" / "modbus.md")
+        .read_text("utf-8")
+        .replace("5020", str(free_port()))
+    )
+    [program] = re.findall(
+        r"^```python plc\.py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL
+    )
     (tmp_path / "plc.py").write_text(program)
     oven_file(tmp_path)
     listed, attach = re.findall(r"^```sh\n(.*)\n```$", page, re.MULTILINE)
@@ -698,21 +842,32 @@ def test_the_page_leads_from_a_plc_to_a_verdict(tmp_path: Path) -> None:
         processes.python("plc.py", folder=tmp_path)
 
         def lines() -> str:
-            run = processes.start("bash", "-c", listed, environment=environment, folder=tmp_path)
+            run = processes.start(
+                "bash", "-c", listed, environment=environment, folder=tmp_path
+            )
             return run.text if run.wait() == 0 else ""
 
         text = wait_for(lines, "the listing of the PLC")
         assert re.search(r"^holding/11  .* float32 little \d", text, re.MULTILINE)
         assert "holding/0-9  cannot be read\nholding/14-20  cannot be read" in text
-        run = processes.start("bash", "-c", f"exec {attach}", environment=environment, folder=tmp_path)
-        run.said(r"^ *\d+ +(unknown|usable|doubtful|trusted|unusable|good|faulty)", 4 * PATIENCE)
+        run = processes.start(
+            "bash", "-c", f"exec {attach}", environment=environment, folder=tmp_path
+        )
+        run.said(
+            r"^ *\d+ +(unknown|usable|doubtful|trusted|unusable|good|faulty)",
+            4 * PATIENCE,
+        )
         assert run.end(signal.SIGINT) == 0
         assert re.search(r"ended: \d+ samples, [1-9]\d* verdicts", run.text)
     finally:
         processes.end()
     assert len(read_session(tmp_path / "first").samples) >= 30
     [config] = re.findall(r"^```yaml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
-    (tmp_path / "plc.yaml").write_text(config.replace("oven.py", str(tmp_path / "oven.py")))
+    (tmp_path / "plc.yaml").write_text(
+        config.replace("oven.py", str(tmp_path / "oven.py"))
+    )
     with no_plant_files():
         values, _ = sampler_values(tmp_path / "plc.yaml", SignalMap())
-        assert sources_of("plc", values)["output"].places == ("holding/11:float32 little",)
+        assert sources_of("plc", values)["output"].places == (
+            "holding/11:float32 little",
+        )

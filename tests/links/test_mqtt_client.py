@@ -27,7 +27,9 @@ def test_a_thread_that_does_not_end_is_waited_for_no_longer_than_its_limit(
 
     broker = RunningBroker(tmp_path, require("amqtt"))
     try:
-        client = Broker.parse(broker.url).connected(lambda joined: joined.subscribe("a"), hold)
+        client = Broker.parse(broker.url).connected(
+            lambda joined: joined.subscribe("a"), hold
+        )
         client.publish("a", "b", retain=True)
         assert came.wait(PATIENCE)
         assert not leave(client)

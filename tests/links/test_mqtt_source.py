@@ -32,7 +32,11 @@ from twinmatch.sampling.listener import Receive, SignalListener, Source
 from twinmatch.signals import NANOSECONDS, Sample
 from twinmatch.twin import Twin, TwinSettings
 
-PLACES = {"reference": "oven/set_point", "output": "oven/room:t.now", "input": "oven/heater:[duty cycle]"}
+PLACES = {
+    "reference": "oven/set_point",
+    "output": "oven/room:t.now",
+    "input": "oven/heater:[duty cycle]",
+}
 BEGIN = 1_000 * NANOSECONDS
 
 
@@ -48,7 +52,9 @@ def lasting_broker(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[RunningBroker]:
     """For tests that neither end it nor leave a message with it."""
-    running = RunningBroker(tmp_path_factory.mktemp("lasting") / "broker", require(request.param))
+    running = RunningBroker(
+        tmp_path_factory.mktemp("lasting") / "broker", require(request.param)
+    )
     yield running
     running.close()
 
@@ -72,7 +78,9 @@ class InStep:
         mark: Callable[[float], str] | None = repr,
     ) -> None:
         """Wait for the subscription by marks, payloads of the set-point; without any, kept messages do."""
-        parameters: dict[str, Any] = {f"map.{name}": place for name, place in places.items()}
+        parameters: dict[str, Any] = {
+            f"map.{name}": place for name, place in places.items()
+        }
         parameters |= {"plant": plant, "period": period, "source": broker.url}
         values = check("sampler", *understood("sampler", parameters))
         self.now = BEGIN
@@ -120,13 +128,19 @@ class InStep:
 
         wait_for(self.rig.is_connected, "the rig")
         wait_for(arrives, "the subscription")
-        wait_for(lambda: self.source.poll() or newest("reference") == mark, "the last mark")
+        wait_for(
+            lambda: self.source.poll() or newest("reference") == mark, "the last mark"
+        )
 
-    def publish(self, topic: str, payload: str | bytes, *, retain: bool = False) -> None:
+    def publish(
+        self, topic: str, payload: str | bytes, *, retain: bool = False
+    ) -> None:
         """Send, and wait until the broker has it; a client that has lost its connection sends it later."""
         sent = self.rig.publish(topic, payload, 1, retain)
         with self._more_acknowledged:
-            answered = self._more_acknowledged.wait_for(lambda: sent.mid in self._acknowledged, PATIENCE)
+            answered = self._more_acknowledged.wait_for(
+                lambda: sent.mid in self._acknowledged, PATIENCE
+            )
         assert answered, "the broker does not answer"
 
     def _acknowledge(self, message: int) -> None:
@@ -135,7 +149,9 @@ class InStep:
             self._acknowledged.add(message)
             self._more_acknowledged.notify()
 
-    def tick(self, number: int, messages: dict[str, str | bytes], *, more: int = 0) -> list[Sample]:
+    def tick(
+        self, number: int, messages: dict[str, str | bytes], *, more: int = 0
+    ) -> list[Sample]:
         """The samples of a tick at which these are sent, and `more` messages that were sent before."""
         self.now = BEGIN + number * self._step
         wanted = self.received + len(messages) + more
@@ -146,7 +162,11 @@ class InStep:
             self.source.poll()
             return self.received >= wanted
 
-        wait_for(arrived, lambda: f"{wanted - self.received} messages", meanwhile=lambda: time.sleep(0.001))
+        wait_for(
+            arrived,
+            lambda: f"{wanted - self.received} messages",
+            meanwhile=lambda: time.sleep(0.001),
+        )
         self.now += self._step // 5
         return self.listener.samples()
 
@@ -184,7 +204,11 @@ def test_samples_through_a_broker_are_those_of_the_rig_and_lead_to_its_numbers(
     assert [(s.reference, s.output, s.input) for s in samples] == rows_of_oven
     assert [s.index for s in samples] == list(range(3 * HOLD))
     twin = Twin(TwinSettings.of(find_plant(str(plant)), period=PERIOD))
-    matches = [outcome.match.match for outcome in map(twin.push, samples) if outcome.match is not None]
+    matches = [
+        outcome.match.match
+        for outcome in map(twin.push, samples)
+        if outcome.match is not None
+    ]
     assert matches[-1].parameters["gain"] == pytest.approx(0.5, rel=0.02)
 
 
@@ -197,7 +221,11 @@ def test_what_a_broker_has_kept_may_be_a_set_point_but_never_a_reading(
     stepped = InStep(broker, str(plant), PERIOD, PLACES, mark=None)
     assert stepped.tick(0, {}, more=3) == []
     newest = stepped.listener.sampler.newest
-    assert (newest("reference"), newest("output"), newest("input")) == (30.0, None, None)
+    assert (newest("reference"), newest("output"), newest("input")) == (
+        30.0,
+        None,
+        None,
+    )
     tick = payloads_of(0.0, 21.0, 50.0)
     del tick["oven/set_point"]
     [sample] = stepped.tick(1, tick)
@@ -212,10 +240,14 @@ def test_a_broker_that_is_killed_and_comes_back_leaves_a_gap_and_a_word(
     stepped = InStep(broker, str(plant), PERIOD, PLACES)
     [first] = stepped.tick(0, payloads_of(30.0, 20.0, 10.0))
     broker.kill()
-    wait_for(lambda: "the connection to the broker at" in stepped.listener.trouble("output"), "the loss")
+    wait_for(
+        lambda: "the connection to the broker at" in stepped.listener.trouble("output"),
+        "the loss",
+    )
     assert stepped.listener.samples() == []
     newest = stepped.listener.sampler.newest
-    assert (newest("output"), newest("reference")) == (None, 30.0)  # the room may have changed meanwhile
+    # the room may have changed meanwhile
+    assert (newest("output"), newest("reference")) == (None, 30.0)
     broker.start()
     stepped.subscribed()
     [behind] = stepped.tick(50, payloads_of(30.0, 25.0, 10.0))
@@ -229,9 +261,16 @@ def test_hundreds_of_malformed_messages_end_nothing(stepped: InStep) -> None:
     nonsense = random.Random(5)
     before = stepped.received
     for k in range(500):
-        payload = nonsense.randbytes(nonsense.randint(0, 40)) if k % 3 else b'{"t": {"now": "unavailable"}}'
+        payload = (
+            nonsense.randbytes(nonsense.randint(0, 40))
+            if k % 3
+            else b'{"t": {"now": "unavailable"}}'
+        )
         stepped.rig.publish("oven/room", payload, 0)
-    wait_for(lambda: stepped.source.poll() or stepped.received - before >= 500, "the nonsense")
+    wait_for(
+        lambda: stepped.source.poll() or stepped.received - before >= 500,
+        "the nonsense",
+    )
     assert stepped.listener.failed is None
     assert stepped.listener.refusals["output"].count == 500
     assert "no samples until there is a number" in stepped.listener.trouble("output")
@@ -250,12 +289,18 @@ NOT_NUMBERS: tuple[Callable[[], str], ...] = (
 )
 
 
-def test_what_lacks_a_number_makes_no_sample_once_the_reading_is_stale(stepped: InStep) -> None:
+def test_what_lacks_a_number_makes_no_sample_once_the_reading_is_stale(
+    stepped: InStep,
+) -> None:
     numbers = itertools.count()
     for payload in NOT_NUMBERS:
-        assert len(stepped.tick(next(numbers), payloads_of(30.0, 20.0, 10.0))) == 1, payload()
+        assert len(stepped.tick(next(numbers), payloads_of(30.0, 20.0, 10.0))) == 1, (
+            payload()
+        )
         for _ in range(6):
-            samples = stepped.tick(next(numbers), payloads_of(30.0, 0.0, 10.0) | {"oven/room": payload()})
+            samples = stepped.tick(
+                next(numbers), payloads_of(30.0, 0.0, 10.0) | {"oven/room": payload()}
+            )
         assert samples == [], payload()
         number = next(numbers)
         [sample] = stepped.tick(number, payloads_of(30.0, 22.0, 10.0))
@@ -265,7 +310,10 @@ def test_what_lacks_a_number_makes_no_sample_once_the_reading_is_stale(stepped: 
 def test_a_clock_that_is_set_back_and_forth_leaves_gaps(stepped: InStep) -> None:
     indices = []
     for number in (0, 1, 2, 600, 601, 602, 3, 4, 5):
-        indices += [s.index for s in stepped.tick(number, payloads_of(30.0, 20.0 + number % 3, 10.0))]
+        indices += [
+            s.index
+            for s in stepped.tick(number, payloads_of(30.0, 20.0 + number % 3, 10.0))
+        ]
     assert indices[:3] == [0, 1, 2]
     assert indices == sorted(set(indices))
     assert max(b - a for a, b in itertools.pairwise(indices)) >= 598
@@ -292,7 +340,8 @@ def test_times_in_payloads_count(lasting_broker: RunningBroker, plant: Path) -> 
 
     [sample] = stepped.tick(0, timed_payloads(reading_time))
     assert sample.stamp == BEGIN
-    assert stepped.tick(10, timed_payloads(reading_time)) == []  # a second later, the same readings
+    # a second later, the same readings
+    assert stepped.tick(10, timed_payloads(reading_time)) == []
     stepped.close()
 
 
@@ -305,7 +354,12 @@ def test_a_listing_shows_topics_with_their_numbers(broker: RunningBroker) -> Non
         ("garden/t", "3"),
     ):
         client.publish(topic, payload, 1, retain=True).wait_for_publish(30.0)
-    lines = ["home/boiler:a.b  1", "home/boiler:c  2", "home/door  'open' = 1", "home/room/t  21.5"]
+    lines = [
+        "home/boiler:a.b  1",
+        "home/boiler:c  2",
+        "home/door  'open' = 1",
+        "home/room/t  21.5",
+    ]
     assert list(listing(broker.url, "home")) == lines
     assert list(listing(broker.url, "")) == ["garden/t  3", *lines]
     assert list(listing(broker.url, "#")) == ["garden/t  3", *lines]
@@ -315,7 +369,9 @@ def test_a_listing_shows_topics_with_their_numbers(broker: RunningBroker) -> Non
 
 
 @pytest.mark.parametrize("broker", KINDS[:1], indirect=True)
-def test_a_listing_shows_what_a_map_gives(broker: RunningBroker, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_listing_shows_what_a_map_gives(
+    broker: RunningBroker, capsys: pytest.CaptureFixture[str]
+) -> None:
     client = Broker.parse(broker.url).connected(lambda _: None)
     payload = '{"params": {"light:0": {"brightness": 60, "mode": "C"}}}'
     client.publish("shelly/rpc", payload, 1, retain=True).wait_for_publish(30.0)
@@ -324,16 +380,25 @@ def test_a_listing_shows_what_a_map_gives(broker: RunningBroker, capsys: pytest.
         "H=1; C=-1; unit=%",
         "output=shelly/rpc:params.light:0.mode",
     ]
-    assert main(["attach", "--source", broker.url, "--list", "shelly", "--map", *entries]) == 0
+    assert (
+        main(["attach", "--source", broker.url, "--list", "shelly", "--map", *entries])
+        == 0
+    )
     lines = capsys.readouterr().out.splitlines()
     client.disconnect()
     assert lines[0] == "shelly/rpc:params[light:0].brightness  60"
-    assert lines[1].startswith("input = -60 %  (u * m; u=shelly/rpc:params.light:0.brightness")
-    assert lines[1].endswith("params.light:0.brightness is 60.0, shelly/rpc:params.light:0.mode is C)")
+    assert lines[1].startswith(
+        "input = -60 %  (u * m; u=shelly/rpc:params.light:0.brightness"
+    )
+    assert lines[1].endswith(
+        "params.light:0.brightness is 60.0, shelly/rpc:params.light:0.mode is C)"
+    )
     assert lines[2].startswith("output has no value  ('C' is not a number")
 
 
-@pytest.mark.parametrize("where", ["a/#/b", "a#", "+b/c", "a\0", "\udcff", "a" * 70_000])
+@pytest.mark.parametrize(
+    "where", ["a/#/b", "a#", "+b/c", "a\0", "\udcff", "a" * 70_000]
+)
 def test_what_is_not_a_filter_is_one_message(where: str) -> None:
     with pytest.raises(SamplingError, match="is not a filter of MQTT"):
         list(listing("mqtt://127.0.0.1:1", where))
@@ -341,7 +406,9 @@ def test_what_is_not_a_filter_is_one_message(where: str) -> None:
 
 @pytest.mark.parametrize("place", ["home/#", "home/+/t", "home/+/t:value"])
 def test_a_signal_from_a_filter_is_refused_in_words(place: str) -> None:
-    with pytest.raises(SamplingError, match=r"is a filter for many topics, and a signal comes from one"):
+    with pytest.raises(
+        SamplingError, match=r"is a filter for many topics, and a signal comes from one"
+    ):
         parse_place(place)
 
 
@@ -352,7 +419,11 @@ def test_an_index_into_elements_with_names_is_warned_of_and_never_changes_its_me
     places = {**PLACES, "output": "oven/tank:[0].v"}
     stepped = InStep(lasting_broker, str(plant), PERIOD, places)
     elements = [{"bn": "tank/", "n": "temp", "v": 20.0}, {"n": "duty", "v": 60.0}]
-    tick = {"oven/set_point": "30", "oven/heater": '{"duty cycle": 10}', "oven/tank": json.dumps(elements)}
+    tick = {
+        "oven/set_point": "30",
+        "oven/heater": '{"duty cycle": 10}',
+        "oven/tank": json.dumps(elements),
+    }
     [sample] = stepped.tick(0, dict(tick))
     assert sample.output == 20.0
     [warning] = stepped.listener.news()
@@ -381,12 +452,21 @@ def test_null_is_nothing_new_once_and_no_value_when_it_stays(
 
 @pytest.fixture
 def loose() -> Iterator[LooseBroker]:
-    running = LooseBroker([(b"room/\xff", b"1"), (b"other", b"2"), (b"\xc3\x28", b"3"), (b"room/t", b"21.5")])
+    running = LooseBroker(
+        [
+            (b"room/\xff", b"1"),
+            (b"other", b"2"),
+            (b"\xc3\x28", b"3"),
+            (b"room/t", b"21.5"),
+        ]
+    )
     yield running
     running.close()
 
 
-def test_topics_that_are_not_utf_8_are_counted_and_end_nothing(loose: LooseBroker) -> None:
+def test_topics_that_are_not_utf_8_are_counted_and_end_nothing(
+    loose: LooseBroker,
+) -> None:
     received: list[tuple[str, float | None]] = []
 
     def receive(topic: str, read: Any, *_: Any, **__: Any) -> None:
@@ -405,12 +485,18 @@ def test_a_listing_counts_topics_that_are_not_utf_8(loose: LooseBroker) -> None:
     assert list(listing(loose.url, "#")) == [counted, "other  2", "room/t  21.5"]
 
 
-def test_passwords_are_read_from_a_file_and_wrong_ones_are_refused(tmp_path: Path) -> None:
-    broker = RunningBroker(tmp_path / "broker", require("amqtt"), users={"twin": "secret"})
+def test_passwords_are_read_from_a_file_and_wrong_ones_are_refused(
+    tmp_path: Path,
+) -> None:
+    broker = RunningBroker(
+        tmp_path / "broker", require("amqtt"), users={"twin": "secret"}
+    )
     (tmp_path / "right").write_text("secret\n")
     (tmp_path / "wrong").write_text("guess\n")
     url = broker.url.replace("://", "://twin@")
-    client: Client = Broker.parse(f"{url}?password_file={tmp_path / 'right'}").connected(lambda _: None)
+    client: Client = Broker.parse(
+        f"{url}?password_file={tmp_path / 'right'}"
+    ).connected(lambda _: None)
     assert client.is_connected()
     client.disconnect()
     for entry in (f"{url}?password_file={tmp_path / 'wrong'}", broker.url):
@@ -419,12 +505,16 @@ def test_passwords_are_read_from_a_file_and_wrong_ones_are_refused(tmp_path: Pat
     broker.close()
 
 
-@pytest.mark.filterwarnings("ignore:Exception ignored:pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.filterwarnings(
+    "ignore:Exception ignored:pytest.PytestUnraisableExceptionWarning"
+)
 @pytest.mark.parametrize("kind", KINDS)
 def test_certificates_are_checked(kind: str, tmp_path: Path) -> None:
     """paho leaves the socket of a failed handshake to the garbage collector, which warns."""
     broker = RunningBroker(tmp_path / "broker", require(kind), tls=True)
-    client = Broker.parse(f"{broker.url}?ca={broker.certificate}").connected(lambda _: None)
+    client = Broker.parse(f"{broker.url}?ca={broker.certificate}").connected(
+        lambda _: None
+    )
     assert client.is_connected()
     client.disconnect()
     with pytest.raises(BrokerError, match=r"certificate verify failed"):

@@ -37,7 +37,13 @@ from twinmatch.links.pwm_link import (
     PwmTimeoutError,
     PwmVersionError,
 )
-from twinmatch.links.pwm_protocol import Flags, FrameReader, Request, parse_request, seal
+from twinmatch.links.pwm_protocol import (
+    Flags,
+    FrameReader,
+    Request,
+    parse_request,
+    seal,
+)
 
 PATIENT = LinkSettings(timeout=2.0)
 """For boards that share a busy machine with the tests; nothing here measures by the wall clock."""
@@ -62,17 +68,24 @@ def link(board: Board) -> Iterator[pwm_link.PwmLink]:
         yield opened
 
 
-def test_a_command_reaches_the_pins_and_says_so(board: Board, link: pwm_link.PwmLink) -> None:
+def test_a_command_reaches_the_pins_and_says_so(
+    board: Board, link: pwm_link.PwmLink
+) -> None:
     applied = link.command(120.4)
     assert applied.pwm == 120
     assert applied.flags == Flags.ENABLED
     assert board.drive().pwm == pytest.approx(120, abs=0.16)
     assert link.command(-80).device_time > applied.device_time
     board.set_current(2.5)
-    wait_for(lambda: abs(link.query().current - 2.5) < 2 * AMPERES_PER_COUNT, "the current in amperes")
+    wait_for(
+        lambda: abs(link.query().current - 2.5) < 2 * AMPERES_PER_COUNT,
+        "the current in amperes",
+    )
 
 
-def test_what_is_not_a_set_point_is_refused_before_anything_is_sent(link: pwm_link.PwmLink) -> None:
+def test_what_is_not_a_set_point_is_refused_before_anything_is_sent(
+    link: pwm_link.PwmLink,
+) -> None:
     before = link.query()
     for pwm in (math.nan, math.inf, -math.inf, 255.001, -256, np.float64("nan")):
         with pytest.raises(PwmRangeError, match="the command is"):
@@ -108,7 +121,9 @@ def test_a_driver_fault_is_named(board: Board, link: pwm_link.PwmLink) -> None:
         link.command(50)
 
 
-def test_the_port_is_ours_alone_and_closing_sets_zero_first(board: Board, link: pwm_link.PwmLink) -> None:
+def test_the_port_is_ours_alone_and_closing_sets_zero_first(
+    board: Board, link: pwm_link.PwmLink
+) -> None:
     assert link.is_open
     with pytest.raises(PwmPortBusyError, match="another program holds"):
         pwm_link.PwmLink(board.port, PATIENT).open()
@@ -121,7 +136,9 @@ def test_the_port_is_ours_alone_and_closing_sets_zero_first(board: Board, link: 
         link.command(5)
 
 
-def test_a_pulled_cable_is_noticed_and_the_port_reopened(board: Board, link: pwm_link.PwmLink) -> None:
+def test_a_pulled_cable_is_noticed_and_the_port_reopened(
+    board: Board, link: pwm_link.PwmLink
+) -> None:
     link.command(100)
     board.unplug()
     wait_for(lambda: not Path(board.port).exists(), "the port's end")
@@ -182,8 +199,12 @@ while True:
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_host_that_dies_or_freezes_lets_go_of_the_plate(board: Board, number: signal.Signals) -> None:
-    with subprocess.Popen([sys.executable, "-c", HOST, board.port], stdout=subprocess.PIPE) as host:
+def test_a_host_that_dies_or_freezes_lets_go_of_the_plate(
+    board: Board, number: signal.Signals
+) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", HOST, board.port], stdout=subprocess.PIPE
+    ) as host:
         try:
             assert host.stdout is not None
             for _ in range(20):
@@ -257,8 +278,12 @@ def impostor() -> Iterator[Callable[[Callable[[Request, int], bytes]], Impostor]
 Make = Callable[[Callable[[Request, int], bytes]], Impostor]
 
 
-def after_hello(answer: Callable[[Request, int], bytes]) -> Callable[[Request, int], bytes]:
-    return lambda request, count: sound(request) if request.verb.value == "H" else answer(request, count)
+def after_hello(
+    answer: Callable[[Request, int], bytes],
+) -> Callable[[Request, int], bytes]:
+    return lambda request, count: (
+        sound(request) if request.verb.value == "H" else answer(request, count)
+    )
 
 
 @pytest.mark.parametrize(
@@ -266,21 +291,35 @@ def after_hello(answer: Callable[[Request, int], bytes]) -> Callable[[Request, i
     [
         (lambda *_: b"", PwmTimeoutError, "gave set no answer in 2 attempts of 1 s"),
         (lambda *_: b":S 1 garbage*0000\n", PwmCorruptReplyError, "arrived damaged"),
-        (lambda r, _: seal(f"B {r.sequence} 1.0.0 1 0 1000 0"), PwmCorruptReplyError, "arrived damaged"),
+        (
+            lambda r, _: seal(f"B {r.sequence} 1.0.0 1 0 1000 0"),
+            PwmCorruptReplyError,
+            "arrived damaged",
+        ),
         (
             lambda r, n: seal(f"S {(r.sequence - 1) % 65536} {n} 0 0 1"),
             PwmStaleReplyError,
             "to earlier requests",
         ),
         (lambda *_: seal("E - CRC"), PwmRejectedError, "requests arrive damaged"),
-        (lambda r, _: seal(f"E {r.sequence} RANGE"), PwmRejectedError, "refused with RANGE"),
+        (
+            lambda r, _: seal(f"E {r.sequence} RANGE"),
+            PwmRejectedError,
+            "refused with RANGE",
+        ),
     ],
 )
 def test_each_failure_has_its_own_error(
-    impostor: Make, answer: Callable[[Request, int], bytes], error: type[PwmLinkError], message: str
+    impostor: Make,
+    answer: Callable[[Request, int], bytes],
+    error: type[PwmLinkError],
+    message: str,
 ) -> None:
     board = impostor(after_hello(answer))
-    with pwm_link.PwmLink(board.port, HASTY) as link, pytest.raises(error, match=message):
+    with (
+        pwm_link.PwmLink(board.port, HASTY) as link,
+        pytest.raises(error, match=message),
+    ):
         link.command(5)
 
 
@@ -314,7 +353,9 @@ def test_a_reset_that_kept_the_port_is_noticed(impostor: Make) -> None:
     def answer(request: Request, count: int) -> bytes:
         if request.verb.value == "P" and count > 3:
             return seal(f"E {request.sequence} LATCHED")
-        flags = Flags.TRIPPED | Flags.RESET if request.verb.value == "Q" else Flags.ENABLED
+        flags = (
+            Flags.TRIPPED | Flags.RESET if request.verb.value == "Q" else Flags.ENABLED
+        )
         return seal(f"S {request.sequence} {count} {request.pwm} 0 {int(flags)}")
 
     board = impostor(after_hello(answer))
@@ -330,11 +371,15 @@ def test_a_reset_that_kept_the_port_is_noticed(impostor: Make) -> None:
     link.close()
 
 
-def test_reopening_waits_longer_each_time_up_to_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reopening_waits_longer_each_time_up_to_a_limit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     pauses: list[float] = []
     clock = SimpleNamespace(monotonic=lambda: sum(pauses), sleep=pauses.append)
     monkeypatch.setattr(pwm_link, "time", clock)
-    with pytest.raises(PwmPortMissingError, match=r"cannot be opened .*check the cable and your access"):
+    with pytest.raises(
+        PwmPortMissingError, match=r"cannot be opened .*check the cable and your access"
+    ):
         pwm_link.PwmLink("/dev/no-such-port").reopen(patience=8.0)
     assert pauses == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0])
 

@@ -28,7 +28,9 @@ from twinmatch.links.pwm_protocol import (
 )
 
 PAYLOADS = st.text(
-    st.sampled_from([chr(c) for c in range(0x20, 0x7F) if chr(c) != ":"]), min_size=1, max_size=40
+    st.sampled_from([chr(c) for c in range(0x20, 0x7F) if chr(c) != ":"]),
+    min_size=1,
+    max_size=40,
 )
 
 
@@ -48,17 +50,31 @@ def test_crc_is_the_polynomial_division_it_claims_to_be(data: bytes) -> None:
 
 
 @given(st.lists(PAYLOADS, max_size=5), st.integers(1, 7))
-def test_whatever_is_sealed_is_read_back_in_any_pieces(payloads: list[str], piece: int) -> None:
+def test_whatever_is_sealed_is_read_back_in_any_pieces(
+    payloads: list[str], piece: int
+) -> None:
     stream = b"".join(map(seal, payloads))
     reader = FrameReader()
     read_back = [
-        e for begin in range(0, len(stream), piece) for e in reader.feed(stream[begin : begin + piece])
+        e
+        for begin in range(0, len(stream), piece)
+        for e in reader.feed(stream[begin : begin + piece])
     ]
     assert read_back == [p.encode() for p in payloads]
 
 
 @pytest.mark.parametrize(
-    "payload", ["", "x" * (MAX_PAYLOAD + 1), "P 1:2", "P 1\n", "P 1\r", "a\tb", "P 1\x00", "P 1 −5"]
+    "payload",
+    [
+        "",
+        "x" * (MAX_PAYLOAD + 1),
+        "P 1:2",
+        "P 1\n",
+        "P 1\r",
+        "a\tb",
+        "P 1\x00",
+        "P 1 −5",
+    ],
 )
 def test_seal_refuses_what_a_frame_cannot_hold(payload: str) -> None:
     with pytest.raises(ValueError, match=r"cannot be sent|ascii"):
@@ -79,18 +95,28 @@ LONGEST = "x" * MAX_PAYLOAD
         (b"\x00noise\n*\n" + seal("Q 1") + b"\r\nmore", [b"Q 1"]),
         (seal("Q 1")[:-1] + b"\r\n", [b"Q 1"]),  # as a serial monitor sends it
         (b":P 7 25" + seal("Q 1"), [b"Q 1"]),  # a colon starts the frame over
-        (seal("P 1 25")[:-1] + seal("P 2 30") + seal("P 3 35"), [b"P 2 30", b"P 3 35"]),  # a lost line end
+        # a lost line end
+        (seal("P 1 25")[:-1] + seal("P 2 30") + seal("P 3 35"), [b"P 2 30", b"P 3 35"]),
         *(
             (line, [Damage.CHECKSUM])
-            for line in (b":\n", b":*FFFF\n", b":Q 1\n", b":Q 1*0000\n", b":Q 1*12345\n")
+            for line in (
+                b":\n",
+                b":*FFFF\n",
+                b":Q 1\n",
+                b":Q 1*0000\n",
+                b":Q 1*12345\n",
+            )
         ),
-        (framed(b"Q 1\x00"), [Damage.CHECKSUM]),  # control characters, even under a right check sum
+        # control characters, even under a right check sum
+        (framed(b"Q 1\x00"), [Damage.CHECKSUM]),
         (seal(LONGEST)[:-1] + b"\r\n", [LONGEST.encode()]),
         (framed(b"x" + LONGEST.encode()), [Damage.LENGTH]),
         (b":" + b"x" * 10_000 + b"\n" + seal("Q 2"), [Damage.LENGTH, b"Q 2"]),
     ],
 )
-def test_frames_and_damage_are_found_in_any_stream(stream: bytes, events: list[bytes | Damage]) -> None:
+def test_frames_and_damage_are_found_in_any_stream(
+    stream: bytes, events: list[bytes | Damage]
+) -> None:
     assert FrameReader().feed(stream) == events
 
 
@@ -118,7 +144,13 @@ REPLIES = st.one_of(
         st.integers(0, 63).map(Flags),
     ),
     st.builds(
-        Banner, SEQUENCE, st.just("1.0.0"), st.integers(0, 9), st.integers(0, 31), st.just(1000), SEQUENCE
+        Banner,
+        SEQUENCE,
+        st.just("1.0.0"),
+        st.integers(0, 9),
+        st.integers(0, 31),
+        st.just(1000),
+        SEQUENCE,
     ),
 )
 
@@ -140,14 +172,25 @@ UNREADABLE = [b"Q 1x", b"Q 01", b"Q 65536", b"Q 99999999999999", b"Q", b"Q \xb2"
 @pytest.mark.parametrize(
     ("payload", "answer"),
     [
-        *((f"P 1 {pwm}".encode(), Refusal(1, Code.RANGE)) for pwm in (256, -256, 99999)),
+        *(
+            (f"P 1 {pwm}".encode(), Refusal(1, Code.RANGE))
+            for pwm in (256, -256, 99999)
+        ),
         *((f"P 1 {pwm}".encode(), Refusal(1, Code.SYNTAX)) for pwm in SYNTAX),
-        *((payload, Refusal(1, Code.SYNTAX)) for payload in (b"P 1", b"Q 1 5", b"Q 1 ")),
+        *(
+            (payload, Refusal(1, Code.SYNTAX))
+            for payload in (b"P 1", b"Q 1 5", b"Q 1 ")
+        ),
         *((payload, Refusal(None, Code.SYNTAX)) for payload in UNREADABLE),
-        *((payload, Refusal(1, Code.UNKNOWN)) for payload in (b"q 1", b"X 1 5", b"\xb2 1")),
+        *(
+            (payload, Refusal(1, Code.UNKNOWN))
+            for payload in (b"q 1", b"X 1 5", b"\xb2 1")
+        ),
     ],
 )
-def test_a_wrong_request_is_refused_with_its_number_and_a_code(payload: bytes, answer: Refusal) -> None:
+def test_a_wrong_request_is_refused_with_its_number_and_a_code(
+    payload: bytes, answer: Refusal
+) -> None:
     assert parse_request(payload) == answer
 
 
@@ -156,9 +199,7 @@ def test_the_banner_of_another_protocol_still_names_it(more_fields: bytes) -> No
     assert parse_reply(b"B 5 9.1 2" + more_fields) == Banner(5, "9.1", 2, 0, 0, 0)
 
 
-REPLY = (
-    b"S 1 2 3 4|S 1 2 3 4 5 6|S 65536 2 3 4 5|S 1 4294967296 3 4 5|S 1 2 256 4 5|S 1 2 3 1024 5|S 1 2 3 4 256"
-)
+REPLY = b"S 1 2 3 4|S 1 2 3 4 5 6|S 65536 2 3 4 5|S 1 4294967296 3 4 5|S 1 2 256 4 5|S 1 2 3 1024 5|S 1 2 3 4 256"
 MORE = b"|S 01 2 3 4 5|B 1 1.0.0 1 0 1000|E 1 NONSENSE|E x CRC|P 1 5|"
 
 
@@ -174,7 +215,9 @@ def test_sequence_numbers_count_around_the_end(last: int, ahead: int) -> None:
     assert not is_newer(last, last)
 
 
-def test_no_damaged_frame_is_acted_on_with_a_changed_meaning_and_the_next_one_always_arrives() -> None:
+def test_no_damaged_frame_is_acted_on_with_a_changed_meaning_and_the_next_one_always_arrives() -> (
+    None
+):
     reader = FrameReader()
     found_damage = 0
     for payload, line in damaged_lines(FUZZ, seed=20220):
@@ -186,7 +229,10 @@ def test_no_damaged_frame_is_acted_on_with_a_changed_meaning_and_the_next_one_al
                 found_damage += 1
             else:
                 request = parse_request(event)
-                assert not isinstance(request, Request) or str(request) == payload, (payload, line)
+                assert not isinstance(request, Request) or str(request) == payload, (
+                    payload,
+                    line,
+                )
     assert found_damage > FUZZ // 2
 
 
@@ -194,7 +240,9 @@ def status(sequence: int, applied: int = 0) -> bytes:
     return seal(str(BoardStatus(sequence, 5, applied, 0, Flags.NONE)))
 
 
-def test_each_request_gets_the_next_number_around_the_end_and_keeps_it_when_it_is_repeated() -> None:
+def test_each_request_gets_the_next_number_around_the_end_and_keeps_it_when_it_is_repeated() -> (
+    None
+):
     talk = Conversation(65535)
     with pytest.raises(ValueError, match="no request is outstanding"):
         talk.repeat()
@@ -250,4 +298,5 @@ def test_the_boards_word_about_a_damaged_line_spoils_the_request() -> None:
     assert talk.refused_line == Refusal(None, Code.CRC)
     talk.repeat()
     assert talk.refused_line is None
-    assert talk.hear(seal("E 7 SYNTAX")) == Refusal(7, Code.SYNTAX)  # with its number it is the reply
+    # with its number it is the reply
+    assert talk.hear(seal("E 7 SYNTAX")) == Refusal(7, Code.SYNTAX)

@@ -53,7 +53,13 @@ BOOT = b"B" * 16
 Script = Callable[[socket.socket], None]
 
 
-def frame(sequence: int, *, counter: int | None = None, boot: bytes = BOOT, running: bool = False) -> bytes:
+def frame(
+    sequence: int,
+    *,
+    counter: int | None = None,
+    boot: bytes = BOOT,
+    running: bool = False,
+) -> bytes:
     exposure = Exposure(
         image=np.full(LEPTON_SHAPE, 30000 + sequence, np.uint16),
         stamp=time.monotonic_ns(),
@@ -96,7 +102,9 @@ class Server:
 
 
 @contextmanager
-def served(*scripts: Script, settings: ClientSettings = QUICK) -> Iterator[ThermalClient]:
+def served(
+    *scripts: Script, settings: ClientSettings = QUICK
+) -> Iterator[ThermalClient]:
     server = Server(*scripts)
     try:
         with ThermalClient("127.0.0.1", server.port, settings) as client:
@@ -110,7 +118,9 @@ def until(client: ThermalClient, condition: Callable[[LinkStatus], bool]) -> Lin
     return client.status
 
 
-def failed_with(client: ThermalClient, kind: type[ThermalLinkError]) -> ThermalLinkError:
+def failed_with(
+    client: ThermalClient, kind: type[ThermalLinkError]
+) -> ThermalLinkError:
     status = until(client, lambda s: kind.__name__ in s.errors)
     assert status.last_error is not None
     return status.last_error
@@ -140,7 +150,9 @@ def test_frames_arrive_with_honest_stamps() -> None:
         assert client.status.state is LinkState.STREAMING
 
 
-def test_nothing_blocks_without_an_answer_and_it_connects_when_the_server_comes_up_later() -> None:
+def test_nothing_blocks_without_an_answer_and_it_connects_when_the_server_comes_up_later() -> (
+    None
+):
     with socket.create_server(("127.0.0.1", 0)) as reserved:
         port = reserved.getsockname()[1]
     with ThermalClient("127.0.0.1", port, QUICK) as client:
@@ -169,7 +181,9 @@ def trickling(connection: socket.socket) -> None:
 @pytest.mark.parametrize("script", [lambda _: None, trickling])
 def test_silence_and_a_frame_that_trickles_are_a_stall(script: Script) -> None:
     with served(script) as client:
-        assert "no complete frame within 0.3 s" in str(failed_with(client, ThermalStallError))
+        assert "no complete frame within 0.3 s" in str(
+            failed_with(client, ThermalStallError)
+        )
         until(client, lambda s: s.connections >= 2)
         assert client.newest() is None
 
@@ -181,13 +195,23 @@ def flipped(data: bytes) -> bytes:
 @pytest.mark.parametrize(
     ("sent", "kind", "words"),
     [
-        (frame(0) + frame(1)[:5000], ThermalEndError, "the server closed the connection"),
-        (frame(0) + flipped(frame(1)) + frame(2), FrameChecksumError, "the bytes were corrupted"),
+        (
+            frame(0) + frame(1)[:5000],
+            ThermalEndError,
+            "the server closed the connection",
+        ),
+        (
+            frame(0) + flipped(frame(1)) + frame(2),
+            FrameChecksumError,
+            "the bytes were corrupted",
+        ),
         (frame(0) + frame(0), ThermalOrderError, "frame 0 follows frame 0"),
         (frame(0) + frame(1, boot=b"C" * 16), ThermalOrderError, "boot id changed"),
     ],
 )
-def test_a_stream_that_goes_wrong_is_dropped(sent: bytes, kind: type[ThermalLinkError], words: str) -> None:
+def test_a_stream_that_goes_wrong_is_dropped(
+    sent: bytes, kind: type[ThermalLinkError], words: str
+) -> None:
     def script(connection: socket.socket) -> None:
         connection.sendall(sent)
         connection.shutdown(socket.SHUT_WR)
@@ -221,7 +245,9 @@ def test_a_connection_that_is_reset_counts_as_lost() -> None:
 def test_garbage_drops_the_connection_and_the_next_one_works(
     sent: bytes, kind: type[ThermalLinkError]
 ) -> None:
-    with served(lambda c: c.sendall(frame(0) + sent), lambda c: c.sendall(frame(7))) as client:
+    with served(
+        lambda c: c.sendall(frame(0) + sent), lambda c: c.sendall(frame(7))
+    ) as client:
         failed_with(client, kind)
         until(client, lambda s: s.frames == 2)
         assert count(client.newest()) == 30007
@@ -246,7 +272,9 @@ def test_damage_on_the_wire_never_changes_a_picture_that_is_delivered() -> None:
 
     sequences = set()
     patient = ClientSettings(stall_timeout=5.0, first_wait=0.005, longest_wait=0.005)
-    with served(*map(send, scripts), lambda c: c.sendall(frame(999)), settings=patient) as client:
+    with served(
+        *map(send, scripts), lambda c: c.sendall(frame(999)), settings=patient
+    ) as client:
         number = 0
         while 999 not in sequences:
             received = client.wait(number, PATIENCE)
@@ -290,7 +318,9 @@ def test_frozen_frames_are_not_news() -> None:
 
 
 @pytest.mark.parametrize(("boot", "restarted"), [(BOOT, False), (b"C" * 16, True)])
-def test_the_same_count_is_news_only_of_a_server_that_restarted(boot: bytes, restarted: bool) -> None:
+def test_the_same_count_is_news_only_of_a_server_that_restarted(
+    boot: bytes, restarted: bool
+) -> None:
     def first(connection: socket.socket) -> None:
         connection.sendall(frame(0, counter=4))
         connection.close()
@@ -346,8 +376,12 @@ def test_the_quickest_frame_sets_the_offset() -> None:
     assert mapper.map(200 * MS, 1200 * MS + 80 * MS) == 1201 * MS
 
 
-@given(st.integers(0, 10**15), st.lists(st.integers(0, 500 * MS), min_size=1, max_size=50))
-def test_never_early_and_late_by_the_shortest_transit(offset: int, transits: list[int]) -> None:
+@given(
+    st.integers(0, 10**15), st.lists(st.integers(0, 500 * MS), min_size=1, max_size=50)
+)
+def test_never_early_and_late_by_the_shortest_transit(
+    offset: int, transits: list[int]
+) -> None:
     mapper = StampMapper()
     for i, transit in enumerate(transits):
         stamp = 111 * MS * i
@@ -374,14 +408,22 @@ def test_a_quick_frame_is_forgotten_after_two_stretches() -> None:
     assert mapper.map(23, 133) == 133
 
 
-def exposure(counts: object, resolution: float = 0.01, flags: FrameFlags = FrameFlags.NONE) -> Exposure:
+def exposure(
+    counts: object, resolution: float = 0.01, flags: FrameFlags = FrameFlags.NONE
+) -> Exposure:
     image = np.array(counts, dtype=np.uint16)
-    return Exposure(image=image, stamp=0, resolution=resolution, frame_counter=0, flags=flags)
+    return Exposure(
+        image=image, stamp=0, resolution=resolution, frame_counter=0, flags=flags
+    )
 
 
 def test_counts_are_kelvin_by_resolution() -> None:
-    assert celsius(exposure([[27315, 30815]]))[0] == pytest.approx([0.0, 35.0], abs=1e-9)
-    assert celsius(exposure([[3032]], resolution=0.1))[0, 0] == pytest.approx(30.05, abs=1e-9)
+    assert celsius(exposure([[27315, 30815]]))[0] == pytest.approx(
+        [0.0, 35.0], abs=1e-9
+    )
+    assert celsius(exposure([[3032]], resolution=0.1))[0, 0] == pytest.approx(
+        30.05, abs=1e-9
+    )
 
 
 def test_the_statistics_of_a_rectangle_are_those_of_its_pixels() -> None:
@@ -391,7 +433,10 @@ def test_the_statistics_of_a_rectangle_are_those_of_its_pixels() -> None:
     degrees = [26.85, 27.85, 28.85, 29.85]
     assert statistics_of_region.mean == pytest.approx(statistics.mean(degrees))
     assert statistics_of_region.variance == pytest.approx(statistics.pvariance(degrees))
-    assert (statistics_of_region.minimum, statistics_of_region.maximum) == pytest.approx((26.85, 29.85))
+    assert (
+        statistics_of_region.minimum,
+        statistics_of_region.maximum,
+    ) == pytest.approx((26.85, 29.85))
     assert statistics_of_region.spread == pytest.approx(3.0)
     assert statistics_of_region.pixels == 4
 
@@ -403,10 +448,17 @@ def test_pixels_at_the_ends_of_the_range_do_not_count() -> None:
 
 
 @given(hnp.arrays(np.uint16, (6, 8), elements=st.integers(1, 65534)), st.data())
-def test_a_rectangle_lies_within_the_image(image: np.ndarray, data: st.DataObject) -> None:
+def test_a_rectangle_lies_within_the_image(
+    image: np.ndarray, data: st.DataObject
+) -> None:
     row = data.draw(st.integers(0, 5))
     column = data.draw(st.integers(0, 7))
-    roi = Region(row, column, data.draw(st.integers(1, 6 - row)), data.draw(st.integers(1, 8 - column)))
+    roi = Region(
+        row,
+        column,
+        data.draw(st.integers(1, 6 - row)),
+        data.draw(st.integers(1, 8 - column)),
+    )
     whole = region(exposure(image))
     part = region(exposure(image), roi)
     assert whole.minimum <= part.minimum <= part.maximum <= whole.maximum
@@ -415,7 +467,9 @@ def test_a_rectangle_lies_within_the_image(image: np.ndarray, data: st.DataObjec
     assert part.variance <= part.spread**2 / 4 + 1e-6
 
 
-@pytest.mark.parametrize("box", [(-1, 0, 1, 1), (0, -1, 1, 1), (0, 0, 0, 1), (0, 0, 1, 0)])
+@pytest.mark.parametrize(
+    "box", [(-1, 0, 1, 1), (0, -1, 1, 1), (0, 0, 0, 1), (0, 0, 1, 0)]
+)
 def test_an_invalid_rectangle_is_refused(box: tuple[int, int, int, int]) -> None:
     with pytest.raises(RegionError, match="start at 0 or later and contain a pixel"):
         Region(*box)
@@ -427,8 +481,16 @@ def test_an_invalid_rectangle_is_refused(box: tuple[int, int, int, int]) -> None
         (exposure(np.ones((6, 8))), Region(5, 0, 2, 1), "leave the image of 6 by 8"),
         (exposure(np.ones((6, 8))), Region(0, 7, 1, 2), "leave the image of 6 by 8"),
         (exposure(np.zeros((6, 8))), None, "every pixel is outside"),
-        (exposure([[1]], flags=FrameFlags.GAIN_CONTROL), None, "not temperatures; switch TLinear on"),
-        (exposure([[1]], flags=FrameFlags.NOT_RADIOMETRIC), None, "not temperatures; switch TLinear on"),
+        (
+            exposure([[1]], flags=FrameFlags.GAIN_CONTROL),
+            None,
+            "not temperatures; switch TLinear on",
+        ),
+        (
+            exposure([[1]], flags=FrameFlags.NOT_RADIOMETRIC),
+            None,
+            "not temperatures; switch TLinear on",
+        ),
     ],
 )
 def test_a_region_without_temperatures_is_an_error_that_says_why(

@@ -90,14 +90,18 @@ def text(word: str) -> bytes:
 
 def test_bytes_are_those_of_a_hand_written_encoder() -> None:
     frame = make_frame()
-    pixels = b"".join(struct.pack("<H", count) for row in frame.image.tolist() for count in row)
+    pixels = b"".join(
+        struct.pack("<H", count) for row in frame.image.tolist() for count in row
+    )
     item = head(5, 12)
     item += text("v") + head(0, 1)
     item += text("seq") + head(0, 9)
     item += text("t_ns") + head(0, 123_456_789_012)
     item += text("boot_id") + head(2, 16) + BOOT
     item += text("res_k") + b"\xfb" + struct.pack(">d", 0.01)
-    item += text("img") + head(6, 40) + head(4, 2) + head(4, 2) + head(0, 60) + head(0, 80)
+    item += (
+        text("img") + head(6, 40) + head(4, 2) + head(4, 2) + head(0, 60) + head(0, 80)
+    )
     item += head(6, 69) + head(2, len(pixels)) + pixels
     item += text("ffc") + head(0, 3)
     item += text("ffc_age_ms") + head(0, 61_000)
@@ -110,7 +114,9 @@ def test_bytes_are_those_of_a_hand_written_encoder() -> None:
 
 
 def test_unknown_values_travel_as_null() -> None:
-    frame = make_frame((2, 3), flat_field=None, flat_field_age=None, sensor_temperature=None)
+    frame = make_frame(
+        (2, 3), flat_field=None, flat_field_age=None, sensor_temperature=None
+    )
     value = cbor2.loads(encode_frame(frame))
     assert (value["ffc"], value["ffc_age_ms"], value["fpa_ck"]) == (None, None, None)
     assert same(decoded(encode_frame(frame)), frame)
@@ -129,7 +135,9 @@ def test_a_lepton_frame_is_below_ten_kilobytes() -> None:
 
 frames = st.builds(
     ThermalFrame,
-    image=hnp.arrays(np.uint16, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=12)),
+    image=hnp.arrays(
+        np.uint16, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=12)
+    ),
     stamp=st.integers(0, 2**63 - 1),
     resolution=st.floats(0, 1, exclude_min=True),
     frame_counter=st.integers(0, 2**32 - 1),
@@ -148,7 +156,9 @@ def test_every_frame_comes_back(frame: ThermalFrame) -> None:
 
 
 @given(st.lists(frames, max_size=4))
-def test_a_sequence_is_read_frame_by_frame_and_not_a_byte_further(sent: list[ThermalFrame]) -> None:
+def test_a_sequence_is_read_frame_by_frame_and_not_a_byte_further(
+    sent: list[ThermalFrame],
+) -> None:
     stream = b"".join(encode_frame(frame) for frame in sent) + b"next"
     position = 0
 
@@ -163,12 +173,18 @@ def test_a_sequence_is_read_frame_by_frame_and_not_a_byte_further(sent: list[The
 
 
 @given(frames, st.integers(0, 2**63 - 1), st.binary(min_size=16, max_size=16))
-def test_numbering_changes_the_numbers_only(frame: ThermalFrame, sequence: int, boot_id: bytes) -> None:
+def test_numbering_changes_the_numbers_only(
+    frame: ThermalFrame, sequence: int, boot_id: bytes
+) -> None:
     numbered = frame.numbered(sequence, boot_id)
-    assert same(numbered, dataclasses.replace(frame, sequence=sequence, boot_id=boot_id))
+    assert same(
+        numbered, dataclasses.replace(frame, sequence=sequence, boot_id=boot_id)
+    )
 
 
-@pytest.mark.parametrize(("shape", "rounds"), [((6, 8), FUZZ - FUZZ // 10), (LEPTON_SHAPE, FUZZ // 10)])
+@pytest.mark.parametrize(
+    ("shape", "rounds"), [((6, 8), FUZZ - FUZZ // 10), (LEPTON_SHAPE, FUZZ // 10)]
+)
 def test_no_changed_frame_is_accepted(shape: tuple[int, int], rounds: int) -> None:
     good = encode_frame(make_frame(shape))
     rng = random.Random(20)
@@ -196,7 +212,9 @@ def test_noise_is_refused(data: bytes) -> None:
         decoded(data)
 
 
-@pytest.mark.parametrize("start", ["5a7fffffff", "5b7fffffffffffffff", "7a7fffffff", "a163696d675a00010000"])
+@pytest.mark.parametrize(
+    "start", ["5a7fffffff", "5b7fffffffffffffff", "7a7fffffff", "a163696d675a00010000"]
+)
 def test_absurd_length_is_refused_before_it_is_read(start: str) -> None:
     sent = bytes.fromhex(start)
     asked = 0
@@ -206,7 +224,9 @@ def test_absurd_length_is_refused_before_it_is_read(start: str) -> None:
         asked += count
         return sent[asked - count : asked].ljust(count, b"\0")
 
-    with pytest.raises((FrameTooLongError, FrameSyntaxError), match=r"longer than|not CBOR"):
+    with pytest.raises(
+        (FrameTooLongError, FrameSyntaxError), match=r"longer than|not CBOR"
+    ):
         read_frame(read)
     assert asked <= MAX_FRAME_BYTES
 
@@ -218,8 +238,10 @@ def test_endless_nesting_and_endless_arrays_end_at_the_cap() -> None:
 
 
 SMALL = encode_frame(make_frame((2, 3)))
-BEFORE_CRC = SMALL[:-5] + b"\x58\x04"  # behind 16 or 32 bits the tail of the item is not the value of `crc`
-BIG_ENDIAN = bytes.fromhex("d82882820203d8414c000200040008000400100100")  # figure 1 of RFC 8746
+# behind 16 or 32 bits the tail of the item is not the value of `crc`
+BEFORE_CRC = SMALL[:-5] + b"\x58\x04"
+# figure 1 of RFC 8746
+BIG_ENDIAN = bytes.fromhex("d82882820203d8414c000200040008000400100100")
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({"seq": -1}, "sequence is -1"),
     ({"seq": True}, "sequence is True"),
@@ -236,11 +258,23 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"flags": 65_536}, "flags is 65536"),
     ({"img": b"123456"}, "not a two-dimensional RFC 8746 array"),
     ({"img": cbor2.CBORTag(40, [[2, 3], b"123456789012"])}, "not a two-dimensional"),
-    ({"img": cbor2.CBORTag(40, [[3], cbor2.CBORTag(69, b"123456")])}, "not a two-dimensional"),
-    ({"img": cbor2.CBORTag(40, [[2, 3], cbor2.CBORTag(69, b"1234")])}, "4 bytes for 2 by 3 pixels"),
+    (
+        {"img": cbor2.CBORTag(40, [[3], cbor2.CBORTag(69, b"123456")])},
+        "not a two-dimensional",
+    ),
+    (
+        {"img": cbor2.CBORTag(40, [[2, 3], cbor2.CBORTag(69, b"1234")])},
+        "4 bytes for 2 by 3 pixels",
+    ),
     ({"img": cbor2.CBORTag(40, [[0, 3], cbor2.CBORTag(69, b"")])}, r"shape \(0, 3\)"),
-    ({"img": cbor2.CBORTag(40, [[1, 2000], cbor2.CBORTag(69, bytes(4000))])}, r"shape \(1, 2000\)"),
-    ({"img": cbor2.CBORTag(40, [[-1, -3], cbor2.CBORTag(69, b"123456")])}, "not a two-dimensional"),
+    (
+        {"img": cbor2.CBORTag(40, [[1, 2000], cbor2.CBORTag(69, bytes(4000))])},
+        r"shape \(1, 2000\)",
+    ),
+    (
+        {"img": cbor2.CBORTag(40, [[-1, -3], cbor2.CBORTag(69, b"123456")])},
+        "not a two-dimensional",
+    ),
     ({"img": cbor2.loads(BIG_ENDIAN)}, "not a two-dimensional RFC 8746 array"),
     ({"extra": 1}, "keys are"),
 ]
@@ -249,24 +283,44 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 @pytest.mark.parametrize(
     ("data", "error", "message"),
     [
-        (SMALL[:80] + bytes([SMALL[80] ^ 1]) + SMALL[81:], FrameChecksumError, "the bytes were corrupted"),
-        *((bytes.fromhex(i), FrameSyntaxError, "instead of a map") for i in ("01", "80", "f6", "d81800")),
+        (
+            SMALL[:80] + bytes([SMALL[80] ^ 1]) + SMALL[81:],
+            FrameChecksumError,
+            "the bytes were corrupted",
+        ),
+        *(
+            (bytes.fromhex(i), FrameSyntaxError, "instead of a map")
+            for i in ("01", "80", "f6", "d81800")
+        ),
         # Releases of cbor2 differ in whether a lone break is an error or a value.
         *(
             (bytes.fromhex(item), FrameSyntaxError, r"not CBOR|instead of a map")
             for item in ("ff", "1c", "c000", "d81d05", "81" * 5000)
         ),
-        (sealed(wire_map(v=2)), FrameVersionError, "format version 2; this program reads version 1"),
-        (sealed({k: v for k, v in wire_map().items() if k != "ffc"}), FrameFieldError, "keys are"),
+        (
+            sealed(wire_map(v=2)),
+            FrameVersionError,
+            "format version 2; this program reads version 1",
+        ),
+        (
+            sealed({k: v for k, v in wire_map().items() if k != "ffc"}),
+            FrameFieldError,
+            "keys are",
+        ),
         (
             BEFORE_CRC + zlib.crc32(BEFORE_CRC).to_bytes(4, "big"),
             FrameFieldError,
             "must be the frame's last 4 bytes",
         ),
-        *((sealed(wire_map(**change)), FrameFieldError, message) for change, message in WRONG),
+        *(
+            (sealed(wire_map(**change)), FrameFieldError, message)
+            for change, message in WRONG
+        ),
     ],
 )
-def test_other_bytes_are_refused(data: bytes, error: type[FrameError], message: str) -> None:
+def test_other_bytes_are_refused(
+    data: bytes, error: type[FrameError], message: str
+) -> None:
     with pytest.raises(error, match=message):
         decoded(data)
 
@@ -280,7 +334,11 @@ def test_an_image_cannot_be_changed() -> None:
 
 
 def test_exposures_of_a_wrong_shape_type_or_state_are_refused() -> None:
-    for image in (np.zeros((2, 3)), *(np.zeros(s, np.uint16) for s in (3, (0, 3), (1, 1025))), [1]):
+    for image in (
+        np.zeros((2, 3)),
+        *(np.zeros(s, np.uint16) for s in (3, (0, 3), (1, 1025))),
+        [1],
+    ):
         with pytest.raises(FrameFieldError, match=r"the image (is|has shape)"):
             Exposure(image=image, stamp=0, resolution=0.01, frame_counter=0)  # type: ignore[arg-type]
     with pytest.raises(FrameFieldError, match="flat_field is 3"):

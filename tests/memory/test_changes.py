@@ -9,7 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.lessons import HOUR, KINDS, LivedRig, Told, lesson, lived_rig, told_of
+from tests.support.lessons import (
+    HOUR,
+    KINDS,
+    LivedRig,
+    Told,
+    lesson,
+    lived_rig,
+    told_of,
+)
 from twinmatch.memory import Lesson, ParameterChange, report_on, shared_structure
 from twinmatch.memory.changes import histories_of
 from twinmatch.plants import Peltier
@@ -18,7 +26,9 @@ HELD = Peltier.model("held sink")
 RICH = Peltier.model("sink with mass, free ambient, switched drive")
 
 
-def lessons(conductances: list[float], deviation: float = 0.01, days: float = 1.0) -> list[Lesson]:
+def lessons(
+    conductances: list[float], deviation: float = 0.01, days: float = 1.0
+) -> list[Lesson]:
     """Lessons of the plate alone with these conductances, so many days apart."""
     covariance = np.diag([0.002, deviation, 1.0]) ** 2
     return [
@@ -28,7 +38,12 @@ def lessons(conductances: list[float], deviation: float = 0.01, days: float = 1.
             began=round(n * days * 24 * HOUR),
             free=HELD.structure.free,
             covariance=tuple(map(tuple, covariance.tolist())),
-            parameters={**HELD.parameters(), "seebeck": 0.06, "conductance": value, "heat_capacity": 30.0},
+            parameters={
+                **HELD.parameters(),
+                "seebeck": 0.06,
+                "conductance": value,
+                "heat_capacity": 30.0,
+            },
         )
         for n, value in enumerate(conductances)
     ]
@@ -45,7 +60,9 @@ def test_what_has_changed_on_simulated_rigs_is_named_and_nothing_else():
             looks = looks + rig_outcome.looks
             false = false + rig_outcome.false
     assert false <= 0.02 * looks
-    steps = [(rig, outcome) for rig, outcome in outcomes["step"] if outcome.first is not None]
+    steps = [
+        (rig, outcome) for rig, outcome in outcomes["step"] if outcome.first is not None
+    ]
     assert sum(outcome.first - rig.since <= 2 for rig, outcome in steps) >= 8
     assert all(outcome.kind == "step" for _, outcome in steps)
     sizes = [abs(outcome.size) for _, outcome in steps]
@@ -57,7 +74,9 @@ def test_what_has_changed_on_simulated_rigs_is_named_and_nothing_else():
 
 
 def test_a_step_is_said_with_its_session_size_and_values():
-    (change,) = report_on(lessons([0.75, 0.76, 0.74, 0.75, 0.84, 0.83, 0.85]), HELD).changes
+    (change,) = report_on(
+        lessons([0.75, 0.76, 0.74, 0.75, 0.84, 0.83, 0.85]), HELD
+    ).changes
     assert change.sentence == (
         "since run_4 the thermal conductance is 12 % higher (0.75 → 0.84 W/K); before and after it was steady"
     )
@@ -81,7 +100,8 @@ def test_sessions_without_dates_drift_by_session():
     undated = lessons((0.9 * 0.99 ** np.arange(12)).tolist(), 0.004, days=0.0)
     (change,) = report_on(undated, HELD).changes
     assert "falls by 1 % a session" in change.sentence
-    assert "90 %" not in change.sentence  # its lower bound is zero, and never reached at a constant rate
+    # its lower bound is zero, and never reached at a constant rate
+    assert "90 %" not in change.sentence
 
 
 def test_one_odd_session_changes_nothing():
@@ -93,7 +113,10 @@ def test_one_odd_session_changes_nothing():
 
 def test_two_steps_are_two():
     report = report_on(
-        lessons([0.65, 0.66, 0.64, 0.65, 0.85, 0.84, 0.86, 0.85, 0.77, 0.76, 0.78, 0.77]), HELD
+        lessons(
+            [0.65, 0.66, 0.64, 0.65, 0.85, 0.84, 0.86, 0.85, 0.77, 0.76, 0.78, 0.77]
+        ),
+        HELD,
     )
     assert [(change.kind, change.since) for change in report.changes] == [
         ("step", "run_4"),
@@ -105,12 +128,22 @@ def test_what_only_a_ratio_shows_is_named_as_the_ratio():
     rng = np.random.default_rng(3)
     lessons = []
     for n in range(8):
-        valley = math.exp(rng.normal(0.0, 0.3))  # α and C together: an hour does not tell them apart
-        values = {"seebeck": 0.06 * valley * (1.0 if n < 4 else 1.06), "heat_capacity": 30.0 * valley}
-        relative = np.array([[0.09, 0.0, 0.09], [0.0, 1e-4, 0.0], [0.09, 0.0, 0.09 + 2.5e-5]])
+        # α and C together: an hour does not tell them apart
+        valley = math.exp(rng.normal(0.0, 0.3))
+        values = {
+            "seebeck": 0.06 * valley * (1.0 if n < 4 else 1.06),
+            "heat_capacity": 30.0 * valley,
+        }
+        relative = np.array(
+            [[0.09, 0.0, 0.09], [0.0, 1e-4, 0.0], [0.09, 0.0, 0.09 + 2.5e-5]]
+        )
         scale = np.array([values["seebeck"], 0.75, values["heat_capacity"]])
         covariance = relative * np.outer(scale, scale)
-        parameters = {**HELD.parameters(), **values, "conductance": 0.75 + rng.normal(0.0, 0.005)}
+        parameters = {
+            **HELD.parameters(),
+            **values,
+            "conductance": 0.75 + rng.normal(0.0, 0.005),
+        }
         lessons.append(
             lesson(n, HELD.structure_name, free=HELD.structure.free, parameters=parameters,
                    covariance=tuple(map(tuple, covariance.tolist())))
@@ -119,24 +152,36 @@ def test_what_only_a_ratio_shows_is_named_as_the_ratio():
     assert change.name == "seebeck / heat_capacity"
     assert change.since == "run_4"
     assert change.size == pytest.approx(0.06, abs=0.01)
-    assert "ratio of Seebeck coefficient and heat capacity of the plate" in change.sentence
+    assert (
+        "ratio of Seebeck coefficient and heat capacity of the plate" in change.sentence
+    )
 
 
 def test_few_sessions_are_not_judged():
     report = report_on(lessons([0.75, 0.76, 0.95]), HELD)
     assert report.changes == []
-    assert report.sentence == "what changes shows from 4 sessions on, and only 3 can be compared"
+    assert (
+        report.sentence
+        == "what changes shows from 4 sessions on, and only 3 can be compared"
+    )
 
 
 def test_the_room_is_another_one_every_session_and_is_not_named():
     report = report_on(lived_rig(5, "steady").lessons, RICH)
     assert report.restless == ["temperature of the room"]
-    assert report.sentence.endswith("another one in every session: the temperature of the room")
+    assert report.sentence.endswith(
+        "another one in every session: the temperature of the room"
+    )
 
 
 def test_sessions_are_compared_in_the_structure_that_led():
     led = [lesson(n, "b", led=n > 0) for n in range(3)]
-    assert shared_structure([*led, *(lesson(n, "a", led=False) for n in range(3)), lesson(0, "c")]) == "b"
+    assert (
+        shared_structure(
+            [*led, *(lesson(n, "a", led=False) for n in range(3)), lesson(0, "c")]
+        )
+        == "b"
+    )
     assert shared_structure([]) == ""
 
 
@@ -147,7 +192,11 @@ def test_the_unit_of_a_parameter_changes_nothing(unit, seed):
     plain[5:] *= 1.1
     evidence = []
     for factor in (1.0, unit):
-        history = next(h for h in histories_of(lessons(plain.tolist()), HELD) if h.name == "conductance")
+        history = next(
+            h
+            for h in histories_of(lessons(plain.tolist()), HELD)
+            if h.name == "conductance"
+        )
         scaled = history._replace(values=history.values * factor)
         evidence.append(np.diff(scaled.levels))
     assert evidence[0] == pytest.approx(evidence[1], abs=1e-9)

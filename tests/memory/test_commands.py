@@ -29,7 +29,9 @@ def write_table(path, seed, hold=200):
     """A recording of the simulated rig, as a table; each of four levels is held for so many seconds."""
     levels = np.repeat([40.0, 60.0, 35.0, 55.0], hold)
     window = run(rig("held sink", seebeck=0.06, conductance=0.6), levels, seed=seed)
-    rows = np.column_stack([np.arange(4.0 * hold), window.reference, window.output, window.input])
+    rows = np.column_stack(
+        [np.arange(4.0 * hold), window.reference, window.output, window.input]
+    )
     header = "time,reference,temperature,pwm"
     np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.4f")
 
@@ -63,8 +65,13 @@ def test_what_has_changed_is_said_and_drawn(folder, capsys):
     file = folder / "rig.sqlite"
     equations = Peltier.model(lived.lessons[0].structure).equations
     Memory(file).add([replace(lesson, equations=equations) for lesson in lived.lessons])
-    Memory(file).add([replace(lived.lessons[0], session="old", name="old", equations="others")])
-    assert main(["memory", "--memory", str(file), "--figure", str(folder / "memory.svg")]) == 0
+    Memory(file).add(
+        [replace(lived.lessons[0], session="old", name="old", equations="others")]
+    )
+    assert (
+        main(["memory", "--memory", str(file), "--figure", str(folder / "memory.svg")])
+        == 0
+    )
     printed = capsys.readouterr().out
     assert f"Since run_{lived.since} the " in printed
     assert "before and after it was steady" in printed
@@ -81,10 +88,22 @@ def test_errors_are_one_sentence(folder, capsys):
     for command in (["memory"], ["forget", "monday"]):
         assert main([*command, "--memory", str(folder / "rig.sqlite")]) == 2
         printed = capsys.readouterr().err
-        assert printed.endswith("is not a memory of twinmatch; give another file, or move it away\n")
+        assert printed.endswith(
+            "is not a memory of twinmatch; give another file, or move it away\n"
+        )
         assert printed.count("\n") == 1
     write_table(folder / "monday.csv", 1)
-    assert main(["remember", str(folder / "monday.csv"), "--memory", str(folder / "rig.sqlite")]) == 2
+    assert (
+        main(
+            [
+                "remember",
+                str(folder / "monday.csv"),
+                "--memory",
+                str(folder / "rig.sqlite"),
+            ]
+        )
+        == 2
+    )
     assert "is not a memory of twinmatch" in capsys.readouterr().err
     assert main(["memory"]) == 0
     assert capsys.readouterr().out.startswith("Nothing is remembered yet")
@@ -96,7 +115,9 @@ def test_a_report_says_what_earlier_sessions_say(folder, capsys):
     lived = lived_rig(1, "step")
     file = default_file("peltier", "left")
     equations = Peltier.model(lived.lessons[0].structure).equations
-    Memory(file).add([replace(lesson, equations=equations, rig="left") for lesson in lived.lessons])
+    Memory(file).add(
+        [replace(lesson, equations=equations, rig="left") for lesson in lived.lessons]
+    )
     words = memory_words(Peltier, None, "left")
     assert words[0].startswith(f"Since run_{lived.since} the ")
     assert memory_words(Peltier, None, "") == []
@@ -106,7 +127,20 @@ def test_a_report_says_what_earlier_sessions_say(folder, capsys):
     assert broken.startswith("Nothing is known of earlier sessions: memory ")
     write_table(folder / "monday.csv", 1, hold=30)
     out = folder / "report.html"
-    assert main(["report", str(folder / "monday.csv"), "--rig", "left", "--peers", "-o", str(out)]) == 0
+    assert (
+        main(
+            [
+                "report",
+                str(folder / "monday.csv"),
+                "--rig",
+                "left",
+                "--peers",
+                "-o",
+                str(out),
+            ]
+        )
+        == 0
+    )
     assert words[0] in capsys.readouterr().out
     assert escape(words[0]) in out.read_text()
 

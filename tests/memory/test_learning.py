@@ -14,7 +14,14 @@ from tests.support.rig import GAINS, rig, run
 from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.fitting import Noise
 from twinmatch.importing import open_any
-from twinmatch.memory import Lesson, SessionEvidence, current_lessons, digest_of, lessons_of, report_on
+from twinmatch.memory import (
+    Lesson,
+    SessionEvidence,
+    current_lessons,
+    digest_of,
+    lessons_of,
+    report_on,
+)
 from twinmatch.plants import Peltier
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Window
@@ -37,7 +44,10 @@ def hour(seed: int, structure: str = RICH, **changed: float) -> Window:
 
 
 def judged(
-    window: Window, *verdicts: Verdict, name: str = "hour", stretches: tuple[Window, ...] = ()
+    window: Window,
+    *verdicts: Verdict,
+    name: str = "hour",
+    stretches: tuple[Window, ...] = (),
 ) -> SessionEvidence:
     """It as a session with these verdicts."""
     samples = samples_of(window)
@@ -47,7 +57,9 @@ def judged(
     )  # fmt: skip
 
 
-def verdict(sample: int, fault: str = "", since: int | None = None, **changed: object) -> Verdict:
+def verdict(
+    sample: int, fault: str = "", since: int | None = None, **changed: object
+) -> Verdict:
     """A verdict of which only a few fields matter."""
     bare = Verdict.__new__(Verdict)
     usual = {
@@ -57,7 +69,9 @@ def verdict(sample: int, fault: str = "", since: int | None = None, **changed: o
         "leader": None,
         "forecasts": (),
     }
-    for name, value in (usual | {"fault": fault, "fault_since": since} | changed).items():
+    for name, value in (
+        usual | {"fault": fault, "fault_since": since} | changed
+    ).items():
         object.__setattr__(bare, name, value)
     return bare
 
@@ -84,7 +98,9 @@ def test_covariances_say_how_far_the_parameters_are_off():
     for seed in range(16):
         learned = of_structure(of_hour(seed))
         error = learned.values - np.array([TRUE[name] for name in learned.free])
-        errors.append(error @ np.linalg.solve(np.array(learned.covariance), error) / error.size)
+        errors.append(
+            error @ np.linalg.solve(np.array(learned.covariance), error) / error.size
+        )
     # χ² / n has the mean 1 over 16 · 6 numbers, ± 0.15; a covariance from 24 blocks is less exact.
     assert 0.5 <= np.mean(errors) <= 2.0
 
@@ -96,15 +112,22 @@ def test_an_hour_determines_the_conductance_to_a_hundredth():
     assert learned.samples == 3600
     assert learned.outputs[0] == pytest.approx((22.0, 82.0), abs=5.0)
     assert learned.equations == Peltier.model(RICH).equations
-    assert current_lessons([learned, replace(learned, equations="others")], Peltier) == [learned]
+    assert current_lessons(
+        [learned, replace(learned, equations="others")], Peltier
+    ) == [learned]
 
 
 def test_the_structures_worth_keeping_are_kept():
     window = hour(2)
     names = {lesson.structure for lesson in of_hour(2)}
-    assert {RICH, "sink with mass, free ambient"} >= names - {"held sink", "sink with mass"}
+    assert {RICH, "sink with mass, free ambient"} >= names - {
+        "held sink",
+        "sink with mass",
+    }
     chosen = verdict(1800, structure="sink with mass, switched drive")
-    learned = of_structure(lessons_of(judged(window, chosen)), "sink with mass, switched drive")
+    learned = of_structure(
+        lessons_of(judged(window, chosen)), "sink with mass, switched drive"
+    )
     assert learned.chosen
     assert not learned.led
     assert learned.level == "trusted"
@@ -112,8 +135,12 @@ def test_the_structures_worth_keeping_are_kept():
 
 def test_nothing_is_learned_from_a_fault_on():
     window = hour(3)
-    spoilt = replace(window, outputs=np.where(np.arange(3600) < 2000, window.output, 20.0))
-    faulty = judged(spoilt, verdict(1900), verdict(2100, "drive-lost", 2000), verdict(3000))
+    spoilt = replace(
+        window, outputs=np.where(np.arange(3600) < 2000, window.output, 20.0)
+    )
+    faulty = judged(
+        spoilt, verdict(1900), verdict(2100, "drive-lost", 2000), verdict(3000)
+    )
     learned, healthy = (
         of_structure(lessons_of(judgement))
         for judgement in (faulty, judged(window.part(0, 1999), verdict(1900)))
@@ -159,7 +186,9 @@ def test_a_session_is_known_by_its_samples():
     later = [replace(sample, stamp=sample.stamp + 5) for sample in samples]
     assert digest_of(later) == digest_of(samples)
     assert digest_of(samples[:-1]) != digest_of(samples)
-    assert digest_of([*samples[:-1], replace(samples[-1], inputs=(1.0,))]) != digest_of(samples)
+    assert digest_of([*samples[:-1], replace(samples[-1], inputs=(1.0,))]) != digest_of(
+        samples
+    )
 
 
 @pytest.mark.parametrize(
@@ -176,13 +205,17 @@ def test_a_session_is_known_by_its_samples():
 )
 def test_a_step_of_a_simulated_rig_is_named(name, factor, named):
     before = [of_day(day) for day in range(4)]
-    lessons = before + [of_day(day, **{name: factor * TRUE[name]}) for day in range(4, 7)]
+    lessons = before + [
+        of_day(day, **{name: factor * TRUE[name]}) for day in range(4, 7)
+    ]
     (change,) = report_on(lessons, Peltier.model(RICH)).changes
     assert (change.name, change.kind, change.since) == (named, "step", "day 4")
     assert abs(change.size) == pytest.approx(0.2 if factor == 0.8 else 0.1, abs=0.04)
 
 
-@pytest.mark.skipif(not RECORDINGS.is_dir(), reason="needs the recordings of TWINMATCH_RECORDINGS")
+@pytest.mark.skipif(
+    not RECORDINGS.is_dir(), reason="needs the recordings of TWINMATCH_RECORDINGS"
+)
 def test_the_change_of_the_real_rig_is_named_between_recordings_9_and_14():
     lessons = []
     for number in (1, 2, 5, 9, 14, 20, 27):

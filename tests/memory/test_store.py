@@ -71,22 +71,35 @@ def test_a_session_counts_once(tmp_path):
     renamed_copy = lesson(1, name="a copy", duration=1.0)
     assert memory.add([renamed_copy, lesson(2)]) == 1
     assert [stored.name for stored in memory.lessons()] == ["run_1", "run_1", "run_2"]
-    changed = lesson(1, equations="e2")  # the plant's file was changed: a lesson of its own
+    # the plant's file was changed: a lesson of its own
+    changed = lesson(1, equations="e2")
     assert memory.add([changed]) == 1
     assert memory.lessons("peltier", "", {"e2"}) == [changed]
 
 
 def test_plants_and_rigs_are_kept_apart(tmp_path):
     memory = Memory(tmp_path / "all.sqlite")
-    memory.add([lesson(1), lesson(1, rig="left"), lesson(2, rig="left"), lesson(1, plant="tclab")])
-    assert [stored.name for stored in memory.lessons("peltier", "left")] == ["run_1", "run_2"]
+    memory.add(
+        [
+            lesson(1),
+            lesson(1, rig="left"),
+            lesson(2, rig="left"),
+            lesson(1, plant="tclab"),
+        ]
+    )
+    assert [stored.name for stored in memory.lessons("peltier", "left")] == [
+        "run_1",
+        "run_2",
+    ]
     assert memory.lessons("peltier", "") == [lesson(1)]
     assert len(memory.lessons()) == 4
 
 
 def test_forgotten_sessions_are_gone_by_name_or_digest(tmp_path):
     memory = Memory(tmp_path / "rig.sqlite")
-    memory.add([lesson(n, structure) for n in (1, 2, 3) for structure in ("paper", "rich")])
+    memory.add(
+        [lesson(n, structure) for n in (1, 2, 3) for structure in ("paper", "rich")]
+    )
     assert memory.forget(["run_1", "digest-3", "run_9"]) == ["run_1", "run_3"]
     assert [(stored.name, stored.structure) for stored in memory.lessons()] == [
         ("run_2", "paper"),
@@ -99,14 +112,19 @@ def test_sessions_without_dates_are_ordered_by_their_numbers(tmp_path):
     memory = Memory(tmp_path / "rig.sqlite")
     names = ["BMData14_022722", "BMData2_022722", "BMData1_022722", "BMData9_022722"]
     memory.add([lesson(n, name=name, began=HOUR) for n, name in enumerate(names)])
-    assert [s.name for s in memory.lessons()] == [f"BMData{n}_022722" for n in (1, 2, 9, 14)]
+    assert [s.name for s in memory.lessons()] == [
+        f"BMData{n}_022722" for n in (1, 2, 9, 14)
+    ]
 
 
 def test_comparisons_come_back_as_they_were_one_a_session_and_are_forgotten(tmp_path):
     memory = Memory(tmp_path / "rig.sqlite")
     assert memory.comparisons("peltier") == []
     diverged = comparison(2, high=math.inf, median=math.nan, rig="left")
-    assert [memory.add_comparison(new) for new in (comparison(1), diverged)] == [True, True]
+    assert [memory.add_comparison(new) for new in (comparison(1), diverged)] == [
+        True,
+        True,
+    ]
     assert not memory.add_comparison(comparison(1, measured=9.0))
     assert memory.comparisons("peltier", "") == [comparison(1)]
     first, second = memory.comparisons("peltier")
@@ -119,7 +137,9 @@ def test_comparisons_come_back_as_they_were_one_a_session_and_are_forgotten(tmp_
     assert memory.forget(["digest-2"]) == ["run_2"]
 
 
-def test_a_file_of_the_first_version_is_read_and_gets_its_second_table_when_written(tmp_path):
+def test_a_file_of_the_first_version_is_read_and_gets_its_second_table_when_written(
+    tmp_path,
+):
     memory = Memory(tmp_path / "rig.sqlite")
     memory.add([lesson(1)])
     change(memory.path, "DROP TABLE comparison")
@@ -135,13 +155,20 @@ def test_a_file_of_the_first_version_is_read_and_gets_its_second_table_when_writ
 @settings(max_examples=30, deadline=None)
 @given(
     name=st.text(st.characters(exclude_categories=["Cs"]), max_size=20),
-    values=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=2, max_size=2),
+    values=st.lists(
+        st.floats(allow_nan=False, allow_infinity=False), min_size=2, max_size=2
+    ),
     began=st.integers(0, 2**62),
 )
-def test_any_name_and_any_number_comes_back_bit_for_bit(tmp_path_factory, name, values, began):
+def test_any_name_and_any_number_comes_back_bit_for_bit(
+    tmp_path_factory, name, values, began
+):
     memory = Memory(tmp_path_factory.mktemp("memory") / "rig.sqlite")
     odd_lesson = lesson(
-        1, name=name, began=began, parameters=dict(zip(("seebeck", "conductance"), values, strict=True))
+        1,
+        name=name,
+        began=began,
+        parameters=dict(zip(("seebeck", "conductance"), values, strict=True)),
     )
     memory.add([odd_lesson])
     assert memory.lessons() == [odd_lesson]
@@ -152,12 +179,16 @@ def test_other_programs_read_it(tmp_path):
     memory = Memory(tmp_path / "rig.sqlite")
     memory.add([lesson(1)])
     database = sqlite3.connect(memory.path)
-    query = "SELECT name, json_extract(parameters, '$.conductance'), covariance FROM lesson"
+    query = (
+        "SELECT name, json_extract(parameters, '$.conductance'), covariance FROM lesson"
+    )
     name, conductance, covariance = database.execute(query).fetchone()
     database.close()
     assert (name, conductance) == ("run_1", 0.5)
     assert json.loads(covariance) == [[1e-6, 2e-6], [2e-6, 1e-4]]
-    memory.add([lesson(n, structure) for n in range(100) for structure in ("paper", "rich")])
+    memory.add(
+        [lesson(n, structure) for n in range(100) for structure in ("paper", "rich")]
+    )
     assert memory.path.stat().st_size < 100 * 5000  # a few kB a session
 
 
@@ -175,7 +206,8 @@ def test_a_killed_writer_leaves_complete_sessions_only(tmp_path):
 
 def test_two_writers_at_once_lose_nothing(tmp_path):
     path = tmp_path / "rig.sqlite"
-    programs = [writer(path, first, 40) for first in (0, 20)]  # half of the sessions are the same
+    # half of the sessions are the same
+    programs = [writer(path, first, 40) for first in (0, 20)]
     while any(program.poll() is None for program in programs):
         assert {*of_sessions(path).values()} <= {3}
         time.sleep(0.05)
@@ -188,9 +220,13 @@ def test_a_full_disk_is_reported_and_what_was_there_stays(tmp_path):
     memory.add([lesson(n) for n in range(20)])
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (memory.path.stat().st_size + 4096, before[1]))
+    resource.setrlimit(
+        resource.RLIMIT_FSIZE, (memory.path.stat().st_size + 4096, before[1])
+    )
     try:
-        with pytest.raises(MemoryFaultError, match="free some disk space, or choose another folder"):
+        with pytest.raises(
+            MemoryFaultError, match="free some disk space, or choose another folder"
+        ):
             memory.add([lesson(n) for n in range(20, 400)])
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
@@ -205,7 +241,9 @@ def test_a_locked_file_is_reported(tmp_path, monkeypatch):
     memory.add([lesson(1)])
     writer = sqlite3.connect(memory.path, isolation_level=None)
     writer.execute("BEGIN EXCLUSIVE")
-    with pytest.raises(MemoryFaultError, match=r"rig\.sqlite: another program is writing it; try again"):
+    with pytest.raises(
+        MemoryFaultError, match=r"rig\.sqlite: another program is writing it; try again"
+    ):
         memory.lessons()
     writer.close()
     assert len(memory.lessons()) == 1
@@ -276,9 +314,15 @@ def change(path: Path, statement: str) -> None:
         (newer, "was written by a newer version of twinmatch .*; update twinmatch"),
         (folder, "is not a regular file; give a file"),
         (pipe, "is not a regular file; give a file"),
-        (edited, "lesson of run_1, paper: 2 free parameters and 1 covariances do not belong together"),
+        (
+            edited,
+            "lesson of run_1, paper: 2 free parameters and 1 covariances do not belong together",
+        ),
         (unreadable, "a row cannot be read"),
-        (endless, "has views, triggers or indexes, which no memory has; give another file"),
+        (
+            endless,
+            "has views, triggers or indexes, which no memory has; give another file",
+        ),
         (of_other_types, "began: is 'monday'; give a whole number"),
         (truncated, "is damaged .*; move it away, and remember its sessions again"),
     ],
@@ -294,19 +338,35 @@ def test_a_file_that_takes_too_long_is_one_sentence(tmp_path, monkeypatch):
     memory = Memory(tmp_path / "rig.sqlite")
     memory.add([lesson(n) for n in range(2000)])
     monkeypatch.setattr("twinmatch.memory.store.PATIENCE", -1.0)
-    with pytest.raises(MemoryFaultError, match=r"takes more than .* s to read; give another file, or forget"):
+    with pytest.raises(
+        MemoryFaultError,
+        match=r"takes more than .* s to read; give another file, or forget",
+    ):
         memory.lessons()
 
 
-def test_only_the_newest_lessons_are_read_and_the_command_says_so(tmp_path, monkeypatch, capsys):
+def test_only_the_newest_lessons_are_read_and_the_command_says_so(
+    tmp_path, monkeypatch, capsys
+):
     memory = Memory(tmp_path / "rig.sqlite")
     memory.add([lesson(n, began=HOUR) for n in range(20)])
     monkeypatch.setattr("twinmatch.memory.store.MOST", 3)
-    assert [stored.name for stored in memory.lessons()] == ["run_17", "run_18", "run_19"]
-    assert (memory.unread(), memory.unread("another"), Memory(tmp_path / "none").unread()) == (17, 0, 0)
+    assert [stored.name for stored in memory.lessons()] == [
+        "run_17",
+        "run_18",
+        "run_19",
+    ]
+    assert (
+        memory.unread(),
+        memory.unread("another"),
+        Memory(tmp_path / "none").unread(),
+    ) == (17, 0, 0)
     monkeypatch.setattr("twinmatch.cli.memory.MOST", 3)
     main(["memory", "--memory", str(memory.path)])
-    assert "rig.sqlite: the newest 3 lessons are read; 17 older ones are not\n" in capsys.readouterr().out
+    assert (
+        "rig.sqlite: the newest 3 lessons are read; 17 older ones are not\n"
+        in capsys.readouterr().out
+    )
 
 
 def test_an_empty_file_becomes_a_memory(tmp_path):
@@ -317,21 +377,33 @@ def test_an_empty_file_becomes_a_memory(tmp_path):
 
 
 def test_a_lesson_with_a_value_that_is_not_finite_is_refused():
-    with pytest.raises(MemoryFaultError, match="lesson of run_1, paper: a value is not finite"):
+    with pytest.raises(
+        MemoryFaultError, match="lesson of run_1, paper: a value is not finite"
+    ):
         lesson(1, parameters={"seebeck": math.inf, "conductance": 0.5})
 
 
 def test_the_default_file_is_named_after_plant_and_rig(monkeypatch):
     monkeypatch.setenv("XDG_DATA_HOME", "/data")
     assert default_file("peltier") == Path("/data/twinmatch/peltier.sqlite")
-    assert default_file("peltier", "left-2") == Path("/data/twinmatch/peltier@left-2.sqlite")
-    with pytest.raises(MemoryFaultError, match=r"rig '\.\./x': is not a name for a rig"):
+    assert default_file("peltier", "left-2") == Path(
+        "/data/twinmatch/peltier@left-2.sqlite"
+    )
+    with pytest.raises(
+        MemoryFaultError, match=r"rig '\.\./x': is not a name for a rig"
+    ):
         default_file("peltier", "../x")
 
 
 def test_a_memory_with_wrong_bytes_is_one_sentence_or_still_read(tmp_path):
     memory = Memory(tmp_path / "sound.sqlite")
-    memory.add([lesson(number, structure) for number in range(6) for structure in ("paper", "rich")])
+    memory.add(
+        [
+            lesson(number, structure)
+            for number in range(6)
+            for structure in ("paper", "rich")
+        ]
+    )
     sound = memory.path.read_bytes()
     rng = random.Random(3)
     broken = Memory(tmp_path / "broken.sqlite")
@@ -341,7 +413,11 @@ def test_a_memory_with_wrong_bytes_is_one_sentence_or_still_read(tmp_path):
         for _ in range(rng.choice([1, 3, 30, 300])):
             content[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
         broken.path.write_bytes(content)
-        for use in (broken.lessons, lambda: broken.comparisons("peltier"), lambda: broken.add([lesson(99)])):
+        for use in (
+            broken.lessons,
+            lambda: broken.comparisons("peltier"),
+            lambda: broken.add([lesson(99)]),
+        ):
             try:
                 use()
             except MemoryFaultError as error:

@@ -12,7 +12,9 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
 
 from tests.support.processes import Process, Processes, Start
 from tests.support.ros import Inside, Listener, listening
@@ -57,9 +59,10 @@ def start() -> Iterator[Callable[..., Inside]]:
 
     yield start_inside
     asked = [program for program in programs if program.asked]
-    assert all(program.end() != EXIT_DEFECT or program in asked for program in reversed(programs)), [
-        m.text for m in programs
-    ]
+    assert all(
+        program.end() != EXIT_DEFECT or program in asked
+        for program in reversed(programs)
+    ), [m.text for m in programs]
 
 
 @pytest.fixture
@@ -79,9 +82,13 @@ def start_script(tmp_path: Path) -> Iterator[Start]:
     started = Processes(tmp_path / "scripts")
     script = tmp_path / "program.py"
 
-    def begin(text: str, *, cold: bool = False, environment: Mapping[str, str] | None = None) -> Process:
+    def begin(
+        text: str, *, cold: bool = False, environment: Mapping[str, str] | None = None
+    ) -> Process:
         script.write_text(text)
-        return started.start(sys.executable, script, forked=not cold, environment=environment)
+        return started.start(
+            sys.executable, script, forked=not cold, environment=environment
+        )
 
     yield begin
     started.end()

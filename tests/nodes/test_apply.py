@@ -69,14 +69,23 @@ def law(bench: Bench, half: float = 2.0, **fields: Any) -> dict[str, Any]:
     return signed(**(asked | fields))
 
 
-def test_the_controller_takes_a_law_back_by_itself(start: Start, listener: Listener) -> None:
+def test_the_controller_takes_a_law_back_by_itself(
+    start: Start, listener: Listener
+) -> None:
     """There is no twin, and no node but the controller: the readings decide. Before it, what it refuses;
     after it, the operator takes another one back."""
     bench = Bench(listener)
     operator = Operator(listener, ApplyLaw, "plant/apply_law")
     reports = listener.hear(messages.LawReport, "plant/law", LATCHED)
     bench.temperature = 40.0
-    start("controller", *CALM, "-p", "profile.levels:=[40.0]", "-p", "profile.holds:=[1000.0]")
+    start(
+        "controller",
+        *CALM,
+        "-p",
+        "profile.levels:=[40.0]",
+        "-p",
+        "profile.holds:=[1000.0]",
+    )
     bench.feed(lambda: len(bench.samples) >= 20, "samples")
     for fields, words in (
         ({"decision": "fails"}, "the law is fails, not safe"),
@@ -88,9 +97,15 @@ def test_the_controller_takes_a_law_back_by_itself(start: Start, listener: Liste
         ({"high": [math.nan] * 1000}, "pairs of finite ends"),
         ({"low": []}, "pairs of finite ends"),
         ({"patience": 0}, "a patience of 0"),
-        ({"proportional": [-50.0], "integral": [-5.0]}, "pid.proportional is -50.0; allowed: "),
+        (
+            {"proportional": [-50.0], "integral": [-5.0]},
+            "pid.proportional is -50.0; allowed: ",
+        ),
         ({"proportional": [1e9]}, "pid.proportional is 1000000000.0; allowed: "),
-        ({"proportional": [9e3]}, "the plant of its file is not stable (largest eigenvalue "),
+        (
+            {"proportional": [9e3]},
+            "the plant of its file is not stable (largest eigenvalue ",
+        ),
     ):
         answer = operator(bench, **law(bench, **fields))
         assert not answer.success, fields
@@ -112,7 +127,11 @@ def test_the_controller_takes_a_law_back_by_itself(start: Start, listener: Liste
     unsafe = law(bench, decision="fails", although=True, request="mine")
     assert operator(bench, **unsafe).success
     bench.feed(lambda: reports, "a report")
-    assert (reports[-1].phase_name, reports[-1].decision, reports[-1].although) == ("driving", "fails", True)
+    assert (reports[-1].phase_name, reports[-1].decision, reports[-1].although) == (
+        "driving",
+        "fails",
+        True,
+    )
     assert list(reports[-1].proportional) == [GAINS.proportional / 2]
     assert reports[-1].request == "mine"
     assert "on trial already" in operator(bench, **law(bench)).message
@@ -120,7 +139,9 @@ def test_the_controller_takes_a_law_back_by_itself(start: Start, listener: Liste
     assert reports[-1].phase_name == "driving"
     bench.temperature = 43.0
     bench.feed(lambda: reports[-1].phase_name == "back", "the law before")
-    assert reports[-1].reason.startswith("output 1 is 43, not 38 to 42, for 100 samples")
+    assert reports[-1].reason.startswith(
+        "output 1 is 43, not 38 to 42, for 100 samples"
+    )
     assert reports[-1].sample - reports[-1].first >= PATIENCE - 1
     bench.temperature = 40.0
     assert "on trial already; ask again" in operator(bench, **unsafe).message
@@ -131,13 +152,22 @@ def test_the_controller_takes_a_law_back_by_itself(start: Start, listener: Liste
     assert reports[-1].reason == "given back by the operator"
 
 
-DOCUMENT = {"kind": "pid", "proportional": 60, "integral": 2.0, "derivative": 13, "back_calculation": 1.0}
+DOCUMENT = {
+    "kind": "pid",
+    "proportional": 60,
+    "integral": 2.0,
+    "derivative": 13,
+    "back_calculation": 1.0,
+}
 
 
-def test_the_twin_answers_before_anything_is_run(start_process: Start, listener: Listener) -> None:
+def test_the_twin_answers_before_anything_is_run(
+    start_process: Start, listener: Listener
+) -> None:
     """A document it cannot use, no twin yet, no controller; then an answer for the family that there is, once
     the outputs rest. The discriminator that gives it can be killed: nothing that drives depends on it."""
-    steps = quarter_of_an_hour()[:600]  # the outputs come to rest with a candidate, and stay so
+    # the outputs come to rest with a candidate, and stay so
+    steps = quarter_of_an_hour()[:600]
     ask = Operator(listener, TryLaw, "twin/try_law")
     reports = listener.hear(messages.LawReport, "twin/law", EVERYTHING)
     start_process("matcher")
@@ -177,7 +207,9 @@ def test_the_twin_answers_before_anything_is_run(start_process: Start, listener:
     assert twin.running
 
 
-def answers_belong_to_requests(listener: Listener, ask: Operator, reports: list[Any]) -> None:
+def answers_belong_to_requests(
+    listener: Listener, ask: Operator, reports: list[Any]
+) -> None:
     """Each report has the word of its request; a request that is refused at once has no report."""
 
     def reported(word: str) -> list[str]:
@@ -190,7 +222,9 @@ def answers_belong_to_requests(listener: Listener, ask: Operator, reports: list[
     assert good.request.startswith("number ")
     assert reported(good.request) == ["answered"]
     for shadow in (math.nan, math.inf, -1.0, 1e300):
-        assert ask(law=json.dumps(DOCUMENT), shadow=shadow).message.startswith("shadow is ")
+        assert ask(law=json.dumps(DOCUMENT), shadow=shadow).message.startswith(
+            "shadow is "
+        )
 
 
 def odd_questions(listener: Listener, laws: list[Any]) -> list[str]:
@@ -210,13 +244,18 @@ def odd_questions(listener: Listener, laws: list[Any]) -> list[str]:
             answer = ask(**fields_of(request))
             replies.append(answer.message)
             if answer.success and kind is not WhatIf:
-                listener.spin_until(lambda r=reports, n=count_before: len(r) > n, f"a report on {request}")
+                listener.spin_until(
+                    lambda r=reports, n=count_before: len(r) > n,
+                    f"a report on {request}",
+                )
                 replies.append(reports[-1].reason)
     return [text for text in replies if "a defect of twinmatch" in text]
 
 
 def fields_of(request: Any) -> dict[str, Any]:
-    return {name: getattr(request, name) for name in request.get_fields_and_field_types()}
+    return {
+        name: getattr(request, name) for name in request.get_fields_and_field_types()
+    }
 
 
 def test_a_defect_is_answered_in_a_sentence_and_the_node_continues(
@@ -241,7 +280,9 @@ def test_a_defect_is_answered_in_a_sentence_and_the_node_continues(
         courses.clear()
         what_if, try_law, experiment = asked
         texts = [what_if().message]
-        listener.spin_until(lambda: try_law(law=json.dumps(DOCUMENT)).success, "its turn")
+        listener.spin_until(
+            lambda: try_law(law=json.dumps(DOCUMENT)).success, "its turn"
+        )
         listener.spin_until(lambda: experiment().success, "its turn")
         listener.spin_until(lambda: laws and courses, "reports")
         return [*texts, laws[0].reason, courses[0].reason]
@@ -249,6 +290,8 @@ def test_a_defect_is_answered_in_a_sentence_and_the_node_continues(
     with monkeypatch.context() as patch:
         patch.setattr(Snapshot, "outlook", broken)
         for words in ask_all():
-            assert re.match(r"a defect of twinmatch \(\S+:\d+, \w+: ZeroDivisionError", words), words
+            assert re.match(
+                r"a defect of twinmatch \(\S+:\d+, \w+: ZeroDivisionError", words
+            ), words
             assert "as no user could cause it" in words
     assert all("there is no candidate yet" in words for words in ask_all())

@@ -21,7 +21,12 @@ from tests.support.camera import CameraProgram
 from tests.support.processes import Processes, Start
 from twinmatch.links.thermal_client import RegionError
 from twinmatch.links.thermal_frame import Exposure, FlatField, FrameFlags, encode_frame
-from twinmatch.nodes.camera_bridge import WallToRos, celsius_image, centikelvin, raw_image
+from twinmatch.nodes.camera_bridge import (
+    WallToRos,
+    celsius_image,
+    centikelvin,
+    raw_image,
+)
 from twinmatch.nodes.network import sockets_elsewhere
 
 pytestmark = pytest.mark.ros
@@ -36,7 +41,9 @@ def camera(processes: Processes) -> Camera:
     """Start an emulated camera that serves, on a free port or a given one: `camera("--plate", "60")`."""
 
     def start_camera(*arguments: str, port: int = 0) -> CameraProgram:
-        server = CameraProgram(processes, "emulated", *arguments, listen=f"127.0.0.1:{port}")
+        server = CameraProgram(
+            processes, "emulated", *arguments, listen=f"127.0.0.1:{port}"
+        )
         assert server.port
         return server
 
@@ -48,7 +55,9 @@ class Ears:
 
     def __init__(self, listener: Any) -> None:
         self._listener = listener
-        self.temperatures: list[Temperature] = listener.hear(Temperature, "plant/temperature", FAST)
+        self.temperatures: list[Temperature] = listener.hear(
+            Temperature, "plant/temperature", FAST
+        )
         self.spreads: list[Float64] = listener.hear(Float64, "plant/uniformity", FAST)
         self.raw: list[Image] = listener.hear(Image, "thermal/image_raw", FAST)
         self.degrees: list[Image] = listener.hear(Image, "thermal/image", FAST)
@@ -93,11 +102,20 @@ def stamp_of(message: Any) -> float:
     return message.header.stamp.sec + message.header.stamp.nanosec / 1e9
 
 
-def test_an_emulated_lepton_is_seen(start_process: Start, camera: Camera, ears: Ears) -> None:
+def test_an_emulated_lepton_is_seen(
+    start_process: Start, camera: Camera, ears: Ears
+) -> None:
     bridge = start_process(
-        "camera_bridge", "-p", f"port:={camera('--plate', '60').port}", "-p", "image_rate:=0.0"
+        "camera_bridge",
+        "-p",
+        f"port:={camera('--plate', '60').port}",
+        "-p",
+        "image_rate:=0.0",
     )
-    ears.until(lambda: len(ears.temperatures) > 20 and ears.level == b"\x00", "temperatures and health")
+    ears.until(
+        lambda: len(ears.temperatures) > 20 and ears.level == b"\x00",
+        "temperatures and health",
+    )
     newest = ears.temperatures[-1]
     # The plate's middle loses a thousandth of its excess over 23 °C; the noise all pixels share is 0.08 K.
     assert newest.temperature == pytest.approx(60.0, abs=0.6)
@@ -107,7 +125,8 @@ def test_an_emulated_lepton_is_seen(start_process: Start, camera: Camera, ears: 
     assert 0 < time.time() - stamp_of(newest) < 30
     stamps = [stamp_of(message) for message in ears.temperatures]
     gaps = np.diff(stamps)
-    assert np.median(gaps) > 0.05  # the camera's own pace of 9 Hz; it makes up for what a busy machine delays
+    # the camera's own pace of 9 Hz; it makes up for what a busy machine delays
+    assert np.median(gaps) > 0.05
     # The corners of the plate are 2 % of the excess colder, each pixel has its noise.
     assert 0.7 < ears.spreads[-1].data < 1.7
     raw = ears.raw[-1]
@@ -121,7 +140,9 @@ def test_an_emulated_lepton_is_seen(start_process: Start, camera: Camera, ears: 
     assert values["link"] == "streaming"
     assert values["flat-field correction"] == "COMPLETE"
     assert values["reconnects"] == values["bad frames"] == "0"
-    assert float(values["sensor temperature"].split()[0]) == pytest.approx(23.0, abs=3.0)
+    assert float(values["sensor temperature"].split()[0]) == pytest.approx(
+        23.0, abs=3.0
+    )
     assert sockets_elsewhere(bridge.id) == []
     assert bridge.well(bridge.end())
 
@@ -132,7 +153,10 @@ def test_a_closed_shutter_gives_no_temperature_and_no_degrees(
     """A correction every 4 s takes 0.9 s: eight frames that repeat the one before."""
     port = camera("--plate", "60", "--flat-field-period", "4").port
     start("camera_bridge", "-p", f"port:={port}", "-p", "image_rate:=0.0")
-    ears.until(lambda: any(np.isnan(celsius_of(i)).all() for i in ears.degrees), "a closed shutter")
+    ears.until(
+        lambda: any(np.isnan(celsius_of(i)).all() for i in ears.degrees),
+        "a closed shutter",
+    )
     ears.until(lambda: len(ears.degrees) > 90, "two corrections")
     closed = {stamp_of(i) for i in ears.degrees if np.isnan(celsius_of(i)).all()}
     temperature_stamps = {stamp_of(message) for message in ears.temperatures}
@@ -146,19 +170,29 @@ def test_a_closed_shutter_gives_no_temperature_and_no_degrees(
     assert int(ears.values["repeated or frozen frames"]) >= 8
 
 
-def test_a_camera_that_goes_and_comes_back(start: Start, camera: Camera, ears: Ears) -> None:
+def test_a_camera_that_goes_and_comes_back(
+    start: Start, camera: Camera, ears: Ears
+) -> None:
     first = camera("--plate", "40")
     start("camera_bridge", "-p", f"port:={first.port}", "-p", "stale_after:=1.0")
     ears.go_on()
     first.process.kill()
-    ears.until(lambda: ears.level == b"\x02" and "is the camera server running" in ears.warning, "the error")
+    ears.until(
+        lambda: (
+            ears.level == b"\x02" and "is the camera server running" in ears.warning
+        ),
+        "the error",
+    )
     ears.until(lambda: "no new image for" in ears.warning, "the age")
     silent = len(ears.temperatures)
     reports_before = len(ears.health)
     ears.until(lambda: len(ears.health) > reports_before + 1, "reports")
     assert len(ears.temperatures) == silent
     camera("--plate", "50", port=first.port)
-    ears.until(lambda: ears.temperatures[-1].temperature == pytest.approx(50.0, abs=0.6), "the new one")
+    ears.until(
+        lambda: ears.temperatures[-1].temperature == pytest.approx(50.0, abs=0.6),
+        "the new one",
+    )
     ears.until(lambda: ears.level == b"\x00", "health")
     assert ears.values["reconnects"] == ears.values["server restarts"] == "1"
 
@@ -176,7 +210,9 @@ def test_a_camera_that_hangs_is_given_up_and_never_seen_as_fresh(
     ears.until(lambda: ears.level == b"\x00", "health")
 
 
-def test_no_camera_at_the_start_is_waited_for(start: Start, camera: Camera, ears: Ears) -> None:
+def test_no_camera_at_the_start_is_waited_for(
+    start: Start, camera: Camera, ears: Ears
+) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -189,7 +225,13 @@ def test_no_camera_at_the_start_is_waited_for(start: Start, camera: Camera, ears
 def test_an_image_too_small_for_the_region_is_shown_but_not_measured(
     start: Start, camera: Camera, ears: Ears
 ) -> None:
-    start("camera_bridge", "-p", f"port:={camera('--plate', '40').port}", "-p", "roi.x:=75")
+    start(
+        "camera_bridge",
+        "-p",
+        f"port:={camera('--plate', '40').port}",
+        "-p",
+        "roi.x:=75",
+    )
     ears.until(lambda: "leave the image of 60 by 80" in ears.warning, "the warning")
     assert int(ears.values["unusable frames"]) > 0
     ears.until(lambda: len(ears.raw) > 3, "images")
@@ -231,46 +273,79 @@ class Liar:
                     client.sendall(b"\xff" * 500 if self.lies else data)
 
 
-def test_bad_frames_are_counted_and_good_ones_taken_again(start: Start, ears: Ears) -> None:
+def test_bad_frames_are_counted_and_good_ones_taken_again(
+    start: Start, ears: Ears
+) -> None:
     liar = Liar()
     try:
         start("camera_bridge", "-p", f"port:={liar.port}")
         ears.go_on()
         liar.lies = True
-        ears.until(lambda: ears.level == b"\x02" and int(ears.values["bad frames"]) > 1, "bad frames")
+        ears.until(
+            lambda: ears.level == b"\x02" and int(ears.values["bad frames"]) > 1,
+            "bad frames",
+        )
         liar.lies = False
         ears.go_on()
-        assert all(t.temperature == pytest.approx(40.0, abs=0.6) for t in ears.temperatures)
+        assert all(
+            t.temperature == pytest.approx(40.0, abs=0.6) for t in ears.temperatures
+        )
     finally:
         liar.close()
 
 
 def test_rates_can_be_limited(start: Start, camera: Camera, ears: Ears) -> None:
     port = camera("--plate", "40").port
-    start("camera_bridge", "-p", f"port:={port}", "-p", "temperature_rate:=2.0", "-p", "image_rate:=1.0")
-    ears.until(lambda: len(ears.temperatures) >= 6 and len(ears.raw) >= 2, "some of each")
+    start(
+        "camera_bridge",
+        "-p",
+        f"port:={port}",
+        "-p",
+        "temperature_rate:=2.0",
+        "-p",
+        "image_rate:=1.0",
+    )
+    ears.until(
+        lambda: len(ears.temperatures) >= 6 and len(ears.raw) >= 2, "some of each"
+    )
     stamps = [stamp_of(message) for message in ears.temperatures]
     assert np.diff(stamps).min() > 0.4
     assert len(ears.raw) < len(ears.temperatures)
 
 
-def test_stamps_are_of_the_simulated_clock(start: Start, camera: Camera, ears: Ears, listener: Any) -> None:
+def test_stamps_are_of_the_simulated_clock(
+    start: Start, camera: Camera, ears: Ears, listener: Any
+) -> None:
     clock = listener.node.create_publisher(Clock, "/clock", 10)
-    start("camera_bridge", "-p", f"port:={camera('--plate', '40').port}", "-p", "use_sim_time:=true")
+    start(
+        "camera_bridge",
+        "-p",
+        f"port:={camera('--plate', '40').port}",
+        "-p",
+        "use_sim_time:=true",
+    )
     plant_time = Clock()
     plant_time.clock.sec = 1234
 
     def tick() -> bool:
-        plant_time.clock.nanosec = min(plant_time.clock.nanosec + 1_000_000, 999_999_999)
+        plant_time.clock.nanosec = min(
+            plant_time.clock.nanosec + 1_000_000, 999_999_999
+        )
         clock.publish(plant_time)
-        return any(1233.0 < stamp_of(message) <= 1235.0 for message in ears.temperatures)
+        return any(
+            1233.0 < stamp_of(message) <= 1235.0 for message in ears.temperatures
+        )
 
     ears.until(tick, "a stamp in simulated time")
 
 
-def exposure(counts: list[list[int]], resolution: float = 0.01, **values: Any) -> Exposure:
+def exposure(
+    counts: list[list[int]], resolution: float = 0.01, **values: Any
+) -> Exposure:
     image = np.array(counts, dtype=np.uint16)
-    return Exposure(image=image, stamp=0, resolution=resolution, frame_counter=0, **values)
+    return Exposure(
+        image=image, stamp=0, resolution=resolution, frame_counter=0, **values
+    )
 
 
 def test_centikelvin_are_the_counts_of_a_fine_camera() -> None:
@@ -286,21 +361,33 @@ def test_a_coarse_camera_is_scaled_but_not_its_ends() -> None:
 
 def test_raw_is_mono16_row_by_row() -> None:
     message = raw_image(exposure([[1, 2, 3], [4, 5, 65535]]), Header())
-    assert (message.height, message.width, message.step, message.encoding) == (2, 3, 6, "mono16")
+    assert (message.height, message.width, message.step, message.encoding) == (
+        2,
+        3,
+        6,
+        "mono16",
+    )
     assert message.is_bigendian == 0
     assert np.frombuffer(bytes(message.data), "<u2").tolist() == [1, 2, 3, 4, 5, 65535]
 
 
 def test_celsius_has_nan_where_there_is_no_value() -> None:
     message = celsius_image(exposure([[0, 29815], [27315, 65535]]), Header())
-    assert (message.height, message.width, message.step, message.encoding) == (2, 2, 8, "32FC1")
+    assert (message.height, message.width, message.step, message.encoding) == (
+        2,
+        2,
+        8,
+        "32FC1",
+    )
     degrees = np.frombuffer(bytes(message.data), "<f4")
     np.testing.assert_allclose(degrees, [np.nan, 25.0, 0.0, np.nan], atol=1e-5)
 
 
 def test_a_closed_shutter_shows_nothing() -> None:
     closed = exposure([[29815, 29815]], flat_field=FlatField.RUNNING)
-    assert np.isnan(np.frombuffer(bytes(celsius_image(closed, Header()).data), "<f4")).all()
+    assert np.isnan(
+        np.frombuffer(bytes(celsius_image(closed, Header()).data), "<f4")
+    ).all()
 
 
 def test_a_picture_does_not_hold_temperatures() -> None:
@@ -313,7 +400,10 @@ SECOND = 1_000_000_000
 
 def test_real_time_runs_as_the_wall_does() -> None:
     past = WallToRos()
-    assert past.at(7 * SECOND, wall=9 * SECOND, ros=1000 * SECOND, simulated=False) == 998 * SECOND
+    assert (
+        past.at(7 * SECOND, wall=9 * SECOND, ros=1000 * SECOND, simulated=False)
+        == 998 * SECOND
+    )
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 10.0])
@@ -330,7 +420,10 @@ def test_leaps_of_the_clock_do_not_count_as_pace() -> None:
     past = WallToRos()
     for wall, ros in ((0, 0), (1, 1), (2, 1_000_000), (3, 5)):
         past.at(0, wall=wall * SECOND, ros=ros * SECOND, simulated=True)
-    assert past.at(3 * SECOND, wall=4 * SECOND, ros=6 * SECOND, simulated=True) == 5 * SECOND
+    assert (
+        past.at(3 * SECOND, wall=4 * SECOND, ros=6 * SECOND, simulated=True)
+        == 5 * SECOND
+    )
 
 
 def test_before_the_clock_is_set_there_is_no_past() -> None:

@@ -28,14 +28,21 @@ KINDS = [kind for kind in MESSAGES if kind.__module__.split(".")[1] == "msg"]
 def filled(kind: Any, rng: random.Random) -> Any:
     """A message with any values: texts of several bytes a letter, lists of none to three."""
     message = kind()
-    for name, slot in zip(kind.get_fields_and_field_types(), kind.SLOT_TYPES, strict=True):
+    for name, slot in zip(
+        kind.get_fields_and_field_types(), kind.SLOT_TYPES, strict=True
+    ):
         setattr(message, name, _value(slot, rng))
     return message
 
 
 def _value(slot: Any, rng: random.Random) -> Any:
     if isinstance(slot, BasicType):
-        special = {"boolean": True, "octet": b"\x01", "double": rng.random(), "float": 1.5}
+        special = {
+            "boolean": True,
+            "octet": b"\x01",
+            "double": rng.random(),
+            "float": 1.5,
+        }
         return special.get(slot.typename, rng.randrange(100))
     if isinstance(slot, AbstractString):
         return "ä" * rng.randrange(7)
@@ -73,11 +80,17 @@ def test_a_message_is_as_long_as_an_independent_reader_finds_it(kind: Any) -> No
 
 @pytest.mark.parametrize("name", sorted(SOUND))
 @pytest.mark.parametrize("tail", [b"", b"\0" * 24, b"anything"])
-def test_what_the_entrance_hands_on_as_bytes_has_no_tail(name: str, tail: bytes) -> None:
+def test_what_the_entrance_hands_on_as_bytes_has_no_tail(
+    name: str, tail: bytes
+) -> None:
     """As rclpy serialises it, up to 60 bytes too long, and with what a publisher has appended."""
     message = SOUND[name]()
     came: list[bytes] = []
-    entrance = Entrance(cast("Node", None), cast("NodeHealth", None))  # asked only for what it refuses
-    entrance.before(type(message), "/topic", came.append, raw=True)(serialize_message(message) + tail)
+    # asked only for what it refuses
+    entrance = Entrance(cast("Node", None), cast("NodeHealth", None))
+    entrance.before(type(message), "/topic", came.append, raw=True)(
+        serialize_message(message) + tail
+    )
     assert len(came[0]) == ends_at(came[0], type(message))
-    assert repr(deserialize_message(came[0], type(message))) == repr(message)  # nan equals nothing
+    # nan equals nothing
+    assert repr(deserialize_message(came[0], type(message))) == repr(message)

@@ -22,7 +22,10 @@ from twinmatch.signals import Sample
 from twinmatch.twin import Outcome
 from twinmatch_msgs.msg import Forecast, Match, ModelScore, TwinState
 
-pytestmark = [pytest.mark.ros, pytest.mark.long("processes are killed or stand still, again and again")]
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.long("processes are killed or stand still, again and again"),
+]
 
 
 LENGTH = 700
@@ -38,7 +41,9 @@ AROUND = 20
 class Run:
     """Player, twin and recorder, and what is received of them."""
 
-    def __init__(self, start: Start, listener: Listener, session: Path, folder: Path) -> None:
+    def __init__(
+        self, start: Start, listener: Listener, session: Path, folder: Path
+    ) -> None:
         self.listener = listener
         self._start = start
         self.scores = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
@@ -51,7 +56,9 @@ class Run:
         self.record()
         self.twin = start("twin")
         topics = ("twin/match", "twin/model_score", "twin/state", "twin/forecast")
-        listener.spin_until(lambda: all(map(listener.node.count_publishers, topics)), "the twin")
+        listener.spin_until(
+            lambda: all(map(listener.node.count_publishers, topics)), "the twin"
+        )
         readers = "readers:=twin_simulator discriminator keeper recorder"
         words = (f"session:={session}", "rate:=20.0", readers, "wait_timeout:=60.0")
         start("player", *(word for parameter in words for word in ("-p", parameter)))
@@ -59,11 +66,18 @@ class Run:
     def record(self) -> None:
         """Start a recorder with a folder of its own."""
         self.folders.append(self._folder / f"recorded_{len(self.folders) + 1}")
-        arguments = "-p", f"folder:={self._folder}", "-p", f"name:={self.folders[-1].name}"
+        arguments = (
+            "-p",
+            f"folder:={self._folder}",
+            "-p",
+            f"name:={self.folders[-1].name}",
+        )
         self.recorder = self._start("recorder", *arguments)
 
     def until_state(self, index: int) -> None:
-        self.listener.spin_until(lambda: self.states and self.states[-1].index >= index, f"sample {index}")
+        self.listener.spin_until(
+            lambda: self.states and self.states[-1].index >= index, f"sample {index}"
+        )
 
     def shoot(self) -> None:
         self.twin.kill()
@@ -71,8 +85,12 @@ class Run:
 
     def readers(self, name: str) -> set[tuple[int, ...]]:
         """Those that read the samples under this name; one that was killed is known for some seconds more."""
-        subscriptions = self.listener.node.get_subscriptions_info_by_topic("plant/sample")
-        return {tuple(info.endpoint_gid) for info in subscriptions if info.node_name == name}
+        subscriptions = self.listener.node.get_subscriptions_info_by_topic(
+            "plant/sample"
+        )
+        return {
+            tuple(info.endpoint_gid) for info in subscriptions if info.node_name == name
+        }
 
     def hold_until_back(self, name: str, before: set[tuple[int, ...]]) -> None:
         """Pause the player until a node reads the samples again, however busy the machine is."""
@@ -94,15 +112,21 @@ class Run:
             self.listener.spin_once()
         self.twin.thaw()
 
-    def check(self, steps: list[Sample], offline: list[Outcome], shots: int = 0) -> None:
+    def check(
+        self, steps: list[Sample], offline: list[Outcome], shots: int = 0
+    ) -> None:
         """Everything was said that is said offline, and nothing twice.
 
         What a process that was killed had just sent reaches some readers and others not, so around a kill a
         state or a forecast may be missing here, or come once more, and a verdict or a match may be missing:
         it is not said again if the keeper has it. The recorded session is whole.
         """
-        verdicts = [repr(verdict) for outcome in offline for verdict in outcome.verdicts]
-        matches = [repr(outcome.match) for outcome in offline if outcome.match is not None]
+        verdicts = [
+            repr(verdict) for outcome in offline for verdict in outcome.verdicts
+        ]
+        matches = [
+            repr(outcome.match) for outcome in offline if outcome.match is not None
+        ]
         self.listener.spin_until(
             lambda: (
                 bool(self.scores)
@@ -121,7 +145,9 @@ class Run:
             ]  # in order, and nothing twice
             assert len(expected) - len(published) <= shots
         last = steps[-1].index
-        self.listener.spin_until(lambda: self.forecasts[-1].sample == last, "the last forecast")
+        self.listener.spin_until(
+            lambda: self.forecasts[-1].sample == last, "the last forecast"
+        )
         mirrored = [s.index for s in self.states]
         foretold = [f.sample for f in self.forecasts]
         if shots == 0:
@@ -135,7 +161,9 @@ class Run:
 
     def verify(self) -> list[Verification]:
         """The folders that can be judged: a recorder killed soon after its start may lack what that takes."""
-        self.listener.spin_until(lambda: self.listener.said("ended: all"), "the player's end")
+        self.listener.spin_until(
+            lambda: self.listener.said("ended: all"), "the player's end"
+        )
         self.recorder.end()
         verifications = []
         for folder in self.folders[:-1]:
@@ -145,9 +173,16 @@ class Run:
 
 
 @pytest.fixture
-def begin(start_process: Start, listener: Listener, tmp_path: Path) -> Callable[[list[Sample]], Run]:
+def begin(
+    start_process: Start, listener: Listener, tmp_path: Path
+) -> Callable[[list[Sample]], Run]:
     def play(samples: list[Sample]) -> Run:
-        return Run(start_process, listener, write_session(tmp_path / "steps", samples), tmp_path)
+        return Run(
+            start_process,
+            listener,
+            write_session(tmp_path / "steps", samples),
+            tmp_path,
+        )
 
     return play
 
@@ -165,7 +200,10 @@ def test_twin_and_recorder_that_are_killed_again_and_again_come_back(
         if index in TWIN_KILLED:
             # what it sent more than a second ago has arrived, on a busy machine too
             wait_for_recorded(
-                run.folders[-1], twin__model_score=sum(len(o.verdicts) for o in outcomes[: index - AROUND])
+                run.folders[-1],
+                twin__model_score=sum(
+                    len(o.verdicts) for o in outcomes[: index - AROUND]
+                ),
             )
             run.shoot()
             continue
@@ -176,8 +214,12 @@ def test_twin_and_recorder_that_are_killed_again_and_again_come_back(
     run.hold_until_back("discriminator", before)
     run.check(played, outcomes, shots=len(TWIN_KILLED))
     verifications = run.verify()
-    assert [verification.difference for verification in verifications] == [None] * len(verifications)
-    assert verifications[-1].verdicts == sum(len(outcome.verdicts) for outcome in outcomes)
+    assert [verification.difference for verification in verifications] == [None] * len(
+        verifications
+    )
+    assert verifications[-1].verdicts == sum(
+        len(outcome.verdicts) for outcome in outcomes
+    )
     assert read_session(run.folders[-1]).samples == played
 
 

@@ -50,7 +50,9 @@ TEXTS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=
 COUNTS = st.integers(-(2**53), 2**53)
 POSITIVE = st.floats(1e-6, 1e6)
 
-SIGNALS = [st.lists(ANY, min_size=least, max_size=3).map(tuple) for least in (1, 1, 1, 0)]
+SIGNALS = [
+    st.lists(ANY, min_size=least, max_size=3).map(tuple) for least in (1, 1, 1, 0)
+]
 SAMPLES = st.builds(Sample, INDICES, STAMPS, *SIGNALS)
 
 
@@ -59,7 +61,12 @@ def parameters(draw: st.DrawFn) -> Parameters:
     """Of the rig in any structure, anywhere within the bounds of a search."""
     model = Peltier.model(draw(st.sampled_from(sorted(Peltier.structures))))
     names = draw(st.sets(st.sampled_from(model.names), max_size=4))
-    return model.parameters(**{name: draw(st.floats(*model.declared[name].bounds)) for name in sorted(names)})
+    return model.parameters(
+        **{
+            name: draw(st.floats(*model.declared[name].bounds))
+            for name in sorted(names)
+        }
+    )
 
 
 PARAMETERS = parameters()
@@ -146,7 +153,9 @@ def reports(draw: st.DrawFn) -> MatchReport:
 
 @given(report=reports(), stamp=STAMPS)
 @pytest.mark.filterwarnings("ignore:invalid value encountered in sqrt:RuntimeWarning")
-def test_a_match_survives_its_message_with_status_and_stamp(report: MatchReport, stamp: int) -> None:
+def test_a_match_survives_its_message_with_status_and_stamp(
+    report: MatchReport, stamp: int
+) -> None:
     message = there_and_back(message_of(report, stamp))
     assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
     assert message.status_name == report.match.status.value
@@ -171,7 +180,9 @@ def requests(draw: st.DrawFn) -> MatchRequest:
         period=draw(POSITIVE),
         disturbances=np.array(disturbances).reshape(size, wide),
     )
-    return MatchRequest(draw(INDICES), draw(ANY), window, draw(PARAMETERS), draw(st.none() | PARAMETERS))
+    return MatchRequest(
+        draw(INDICES), draw(ANY), window, draw(PARAMETERS), draw(st.none() | PARAMETERS)
+    )
 
 
 @given(request=requests(), stamp=STAMPS)
@@ -218,7 +229,9 @@ def verdicts(draw: st.DrawFn) -> Verdict:
 
 
 @given(verdict=verdicts(), stamp=STAMPS)
-def test_a_verdict_survives_its_message_with_level_and_stamp(verdict: Verdict, stamp: int) -> None:
+def test_a_verdict_survives_its_message_with_level_and_stamp(
+    verdict: Verdict, stamp: int
+) -> None:
     message = there_and_back(message_of(verdict, stamp))
     assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
     assert message.level_name == verdict.level.value
@@ -238,11 +251,15 @@ STATES = st.dictionaries(st.sampled_from(NAMES), ANY)
 @given(
     st.builds(
         MirrorState,
-        **dict.fromkeys((field.name for field in dataclasses.fields(MirrorState)), SIGNALS[0])
+        **dict.fromkeys(
+            (field.name for field in dataclasses.fields(MirrorState)), SIGNALS[0]
+        )
         | {"sample": SAMPLES, "closed_states": STATES, "driven_states": STATES},
     )
 )
-def test_every_figure_of_the_mirror_is_in_the_message_under_its_name(state: MirrorState) -> None:
+def test_every_figure_of_the_mirror_is_in_the_message_under_its_name(
+    state: MirrorState,
+) -> None:
     message = there_and_back(state_message(state, "50 °C", NAMES))
     assert (message.index, message.leader) == (state.sample.index, "50 °C")
     assert repr(list(message.reference)) == repr(list(state.sample.references))
@@ -268,7 +285,9 @@ def test_every_figure_of_the_mirror_is_in_the_message_under_its_name(state: Mirr
         ({"plant": "", "names": [], "values": []}, "the message holds none"),
     ],
 )
-def test_parameters_of_another_plant_are_refused(spoil: dict[str, Any], message_part: str) -> None:
+def test_parameters_of_another_plant_are_refused(
+    spoil: dict[str, Any], message_part: str
+) -> None:
     message = parameters_message(Peltier.model().parameters())
     for name, value in spoil.items():
         setattr(message, name, value)
@@ -278,18 +297,25 @@ def test_parameters_of_another_plant_are_refused(spoil: dict[str, Any], message_
 
 def test_parameters_come_with_their_units() -> None:
     message = parameters_message(Peltier.model("sink with mass").parameters())
-    assert dict(zip(message.names, message.units, strict=True))["sink_convection"] == "W/K"
+    assert (
+        dict(zip(message.names, message.units, strict=True))["sink_convection"] == "W/K"
+    )
     assert (message.plant, message.structure) == ("peltier", "sink with mass")
 
 
 def test_a_description_is_carried_whole() -> None:
-    whole = replace(description_of(Peltier), disturbances=(Quantity("room", "air", "°C"),))
+    whole = replace(
+        description_of(Peltier), disturbances=(Quantity("room", "air", "°C"),)
+    )
     message = there_and_back(description_message(whole, 0.5))
     assert message.period == 0.5
     assert record_of(message) == whole
     two = description_of(Heaters)
     assert [y.name for y in two.outputs] == ["first", "second"]
-    assert [r.name for r in two.references] == ["set-point of first", "set-point of second"]
+    assert [r.name for r in two.references] == [
+        "set-point of first",
+        "set-point of second",
+    ]
     assert record_of(there_and_back(description_message(two, 0.5))) == two
     with pytest.raises(SignalError, match="output: there are 2 of them"):
         _ = two.output
@@ -302,7 +328,14 @@ def test_a_forecast_of_several_signals_is_carried_sample_by_sample() -> None:
     rows = np.arange(24.0).reshape(6, 4)
     bands = [Band(row, row - 0.5, row + 1.5) for row in rows]
     foretold = Forecast(
-        3, "c", "s", 0.9, np.arange(1.0, 5.0), rows[:2].T, tuple(bands[:2]), tuple(bands[2:5])
+        3,
+        "c",
+        "s",
+        0.9,
+        np.arange(1.0, 5.0),
+        rows[:2].T,
+        tuple(bands[:2]),
+        tuple(bands[2:5]),
     )
     message = there_and_back(message_of(foretold, 5))
     check(message)
@@ -310,7 +343,8 @@ def test_a_forecast_of_several_signals_is_carried_sample_by_sample() -> None:
     assert repr(record_of(message)) == repr(foretold)
     part = record_of(message_of(foretold.at((1, 4)), 5))
     assert [band.low.tolist() for band in part.outputs] == [[-0.5, 2.5], [3.5, 6.5]]
-    driven = replace(foretold, references=np.full((4, 2), np.nan))  # of a twin whose loop is not known
+    # of a twin whose loop is not known
+    driven = replace(foretold, references=np.full((4, 2), np.nan))
     message = there_and_back(message_of(driven, 5))
     check(message)
     assert repr(record_of(message)) == repr(driven)
@@ -319,20 +353,32 @@ def test_a_forecast_of_several_signals_is_carried_sample_by_sample() -> None:
         check(message)
     message = there_and_back(message_of(foretold, 5))
     message.output = [1.0] * 7
-    with pytest.raises(MessageError, match="output has 7 values for its times; expected 4, or that of each"):
+    with pytest.raises(
+        MessageError,
+        match="output has 7 values for its times; expected 4, or that of each",
+    ):
         check(message)
     message.output = [1.0] * 4
-    with pytest.raises(MessageError, match="output_low has 8 values for its means; expected 4"):
+    with pytest.raises(
+        MessageError, match="output_low has 8 values for its means; expected 4"
+    ):
         check(message)
 
 
 @pytest.mark.parametrize("kind", [messages.Match, messages.ModelScore])
 def test_every_word_has_a_number_of_its_own(kind: Any) -> None:
     words: Any = {messages.Match: Status, messages.ModelScore: TrustLevel}[kind]
-    assert sorted(getattr(kind, word.value.upper()) for word in words) == list(range(len(words)))
+    assert sorted(getattr(kind, word.value.upper()) for word in words) == list(
+        range(len(words))
+    )
 
 
 def test_a_words_number_is_beside_it() -> None:
-    verdict = Verdict(0, 0, 0, TrustLevel.DOUBTFUL, "", True, None, "", 2, (), None, (), 0.0, 0.0)
+    verdict = Verdict(
+        0, 0, 0, TrustLevel.DOUBTFUL, "", True, None, "", 2, (), None, (), 0.0, 0.0
+    )
     message = message_of(verdict, 0)
-    assert (message.level, message.level_name) == (messages.ModelScore.DOUBTFUL, "doubtful")
+    assert (message.level, message.level_name) == (
+        messages.ModelScore.DOUBTFUL,
+        "doubtful",
+    )

@@ -19,7 +19,9 @@ def test_without_a_warning_a_node_reports_that_it_works_with_its_values() -> Non
     health = NodeHealth()
     health.set("rate", 0.1)
     health.set("name", "plate")
-    assert health.report() == Report(Level.OK, "working", {"rate": "0.1", "name": "plate"})
+    assert health.report() == Report(
+        Level.OK, "working", {"rate": "0.1", "name": "plate"}
+    )
 
 
 def test_worst_warning_is_the_level_and_comes_first() -> None:
@@ -45,7 +47,9 @@ def test_what_is_counted_is_reported_as_a_number() -> None:
 
 @pytest.mark.parametrize("level", list(Level))
 def test_a_report_becomes_a_diagnostic_with_its_level_and_values(level: Level) -> None:
-    message = status_message("matcher: health", Report(level, "as said", {"key": "value"}))
+    message = status_message(
+        "matcher: health", Report(level, "as said", {"key": "value"})
+    )
     assert message.level == bytes([level])
     assert (message.name, message.message) == ("matcher: health", "as said")
     assert [(entry.key, entry.value) for entry in message.values] == [("key", "value")]
@@ -151,7 +155,9 @@ def test_a_process_that_beats_never_waits() -> None:
         assert still.remaining(k * Standstill.LONG + 0.5 * Standstill.LONG) == 0.0
 
 
-def test_after_a_standstill_the_first_to_look_waits_whether_or_not_the_heart_has_beaten() -> None:
+def test_after_a_standstill_the_first_to_look_waits_whether_or_not_the_heart_has_beaten() -> (
+    None
+):
     for heart_first in (True, False):
         still = Standstill()
         still.beat(0.0)
@@ -159,7 +165,10 @@ def test_after_a_standstill_the_first_to_look_waits_whether_or_not_the_heart_has
         if heart_first:
             still.beat(woken)
         assert still.remaining(woken) == Standstill.REDISCOVERY
-        assert still.remaining(woken + 0.5 * Standstill.REDISCOVERY) == 0.5 * Standstill.REDISCOVERY
+        assert (
+            still.remaining(woken + 0.5 * Standstill.REDISCOVERY)
+            == 0.5 * Standstill.REDISCOVERY
+        )
         assert still.remaining(woken + Standstill.REDISCOVERY) == 0.0
 
 

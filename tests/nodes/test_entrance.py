@@ -94,8 +94,12 @@ SOUND: dict[str, Callable[[], Any]] = {
     "sample": sound_sample,
     "clock": Clock,
     "temperature": Temperature,
-    "image": lambda: Image(height=2, width=3, encoding="32FC1", step=12, data=bytes(24)),
-    "health": lambda: DiagnosticArray(status=[DiagnosticStatus(name="a", level=b"\x01")]),
+    "image": lambda: Image(
+        height=2, width=3, encoding="32FC1", step=12, data=bytes(24)
+    ),
+    "health": lambda: DiagnosticArray(
+        status=[DiagnosticStatus(name="a", level=b"\x01")]
+    ),
 }
 
 
@@ -111,14 +115,44 @@ def test_sound_messages_pass(name: str) -> None:
     [
         ("match", "status", 77, "status is 77 with the word 'accepted'"),
         ("match", "status_name", "perfect", "status is 0 with the word 'perfect'"),
-        ("match", "covariance", [1.0], "covariance has 1 values for its free parameters; expected 4"),
+        (
+            "match",
+            "covariance",
+            [1.0],
+            "covariance has 1 values for its free parameters; expected 4",
+        ),
         ("match", "covariance", [1.0, 2.0, 2.0, 1.0], "covariance is none"),
-        ("match", "covariance", [math.nan] * 4, "covariance of an accepted match is not finite"),
-        ("match", "parameters.values", [math.nan] * 9, "parameters: seebeck is not a finite number"),
-        ("match", "parameters.plant", "tclab", "are those of plant 'tclab'; this run is of peltier"),
+        (
+            "match",
+            "covariance",
+            [math.nan] * 4,
+            "covariance of an accepted match is not finite",
+        ),
+        (
+            "match",
+            "parameters.values",
+            [math.nan] * 9,
+            "parameters: seebeck is not a finite number",
+        ),
+        (
+            "match",
+            "parameters.plant",
+            "tclab",
+            "are those of plant 'tclab'; this run is of peltier",
+        ),
         ("match", "parameters.structure", "x (FMU 0ab36ba3)", "has no structure 'x"),
-        ("match", "starts", ["sink"], "start_values has 0 values for its starts; expected 1"),
-        ("match", "intervals", [1.0, 0.0, 0.0, 1.0], "intervals: a low end is above its high end"),
+        (
+            "match",
+            "starts",
+            ["sink"],
+            "start_values has 0 values for its starts; expected 1",
+        ),
+        (
+            "match",
+            "intervals",
+            [1.0, 0.0, 0.0, 1.0],
+            "intervals: a low end is above its high end",
+        ),
         ("match", "intervals", [1.0], "intervals has 1 values"),
         ("match", "first", 2**63, "first is 9223372036854775808"),
         ("match", "last", 400, "its window is 60 to 400 at sample 320"),
@@ -127,12 +161,37 @@ def test_sound_messages_pass(name: str) -> None:
         ("score", "identified_gap", [0.1, 0.2], "identified_gap has 2 values"),
         ("score", "nominal", "nobody", "nominal 'nobody' is not among those listed"),
         ("score", "horizons", [math.nan], "horizons does not rise"),
-        ("score", "horizons", [1.0, 2.0], "gains has 1 values for its horizons; expected 2"),
-        ("sample", "output", [], "has 1 references, 0 outputs and 1 inputs; every sample has"),
-        ("sample", "input", [1.0, 2.0], "1 outputs and 2 inputs; plant peltier has 1, 1, 1"),
+        (
+            "score",
+            "horizons",
+            [1.0, 2.0],
+            "gains has 1 values for its horizons; expected 2",
+        ),
+        (
+            "sample",
+            "output",
+            [],
+            "has 1 references, 0 outputs and 1 inputs; every sample has",
+        ),
+        (
+            "sample",
+            "input",
+            [1.0, 2.0],
+            "1 outputs and 2 inputs; plant peltier has 1, 1, 1",
+        ),
         ("sample", "output", [math.nan], "output is nan; expected a finite number"),
-        ("sample", "index", 2**64 - 1, "index is 18446744073709551615; expected −1 to 2⁵³"),
-        ("sample", "header.stamp.sec", -1, "its stamp is -1 s and 0 ns; a time is not negative"),
+        (
+            "sample",
+            "index",
+            2**64 - 1,
+            "index is 18446744073709551615; expected −1 to 2⁵³",
+        ),
+        (
+            "sample",
+            "header.stamp.sec",
+            -1,
+            "its stamp is -1 s and 0 ns; a time is not negative",
+        ),
         ("clock", "clock.sec", -1, "clock is -1 s and 0 ns; a time is not negative"),
         ("temperature", "header.stamp.sec", -5, "its stamp is -5 s"),
         ("image", "height", 0, "data has 24 bytes for 0 rows of 12 bytes"),
@@ -140,7 +199,9 @@ def test_sound_messages_pass(name: str) -> None:
         ("health", "status", [DiagnosticStatus(level=b"\xff")], "expected 0 to 3"),
     ],
 )
-def test_nonsense_is_refused_with_its_reason(name: str, field: str, value: Any, words: str) -> None:
+def test_nonsense_is_refused_with_its_reason(
+    name: str, field: str, value: Any, words: str
+) -> None:
     message = owner = SOUND[name]()
     *path, last = field.split(".")
     for part in path:
@@ -151,7 +212,9 @@ def test_nonsense_is_refused_with_its_reason(name: str, field: str, value: Any, 
     assert words in str(error.value)
 
 
-@pytest.mark.parametrize("kind", [messages.Match, messages.ModelScore, messages.LoopSample])
+@pytest.mark.parametrize(
+    "kind", [messages.Match, messages.ModelScore, messages.LoopSample]
+)
 def test_a_message_of_default_values_is_refused(kind: Any) -> None:
     with pytest.raises(MessageError):
         check(kind())
@@ -209,7 +272,9 @@ def test_a_forged_sample_far_ahead_does_not_end_a_stream(course: Course) -> None
     assert passed(course, 1, 2, 90_000, 3, 4, 5, 6) == [1, 2, 90_000, 5, 6]
 
 
-def test_another_publisher_begins_another_session(course: Course, publishers: Publishers) -> None:
+def test_another_publisher_begins_another_session(
+    course: Course, publishers: Publishers
+) -> None:
     """But not one that publishes beside the first."""
     assert passed(course, 50, 51) == [50, 51]
     publishers.there = frozenset([b"one", b"two"])
@@ -256,22 +321,35 @@ class ClockCourse(Course):
 FAR = 2e9
 
 
-def test_a_time_that_goes_back_or_jumps_beyond_what_the_wall_clock_allows_is_refused() -> None:
+def test_a_time_that_goes_back_or_jumps_beyond_what_the_wall_clock_allows_is_refused() -> (
+    None
+):
     course = ClockCourse()
     course.meet(b"one", b"two")
     assert course.passed(5, 6, FAR, FAR + 1, FAR + 2, 7) == [5, 6, 7]
     with pytest.raises(MessageError, match="the time goes back by 7 s"):
         course.follow(time_of(0), course.now)
-    with pytest.raises(MessageError, match=r"the time jumps ahead by 2e\+09 s within 0 s"):
+    with pytest.raises(
+        MessageError, match=r"the time jumps ahead by 2e\+09 s within 0 s"
+    ):
         course.follow(time_of(FAR), course.now)
 
 
 def test_one_publisher_alone_may_jump_ahead_and_be_set_back() -> None:
     """A player at a gap of its session; a plant that was started again, which is believed the third time."""
-    assert ClockCourse().passed(5, 6, 7000, 7001, 1, 2, 3, 4) == [5, 6, 7000, 7001, 3, 4]
+    assert ClockCourse().passed(5, 6, 7000, 7001, 1, 2, 3, 4) == [
+        5,
+        6,
+        7000,
+        7001,
+        3,
+        4,
+    ]
 
 
-@pytest.mark.parametrize("forged", [[FAR + k for k in range(9)], [0.1 * k for k in range(9)]])
+@pytest.mark.parametrize(
+    "forged", [[FAR + k for k in range(9)], [0.1 * k for k in range(9)]]
+)
 def test_who_began_owns_the_clock(forged: list[float]) -> None:
     """However many times another one agrees with itself, also while the owner is silent, and just after."""
     course = ClockCourse()
@@ -294,7 +372,9 @@ def test_a_clock_whose_owner_was_replaced_is_believed() -> None:
 
 
 @pytest.mark.parametrize("forged", [FAR, 0.0])
-def test_a_forged_clock_is_not_time(start: Callable[..., Inside], listener: Listener, forged: float) -> None:
+def test_a_forged_clock_is_not_time(
+    start: Callable[..., Inside], listener: Listener, forged: float
+) -> None:
     """From real publishers that come, publish and go at once, or stay."""
     (node,) = start("twin_simulator", "-p", "use_sim_time:=true").nodes
     owner = listener.node.create_publisher(Clock, "/clock", 10)
@@ -308,7 +388,10 @@ def test_a_forged_clock_is_not_time(start: Callable[..., Inside], listener: List
         wait_for(
             lambda: heard() == owner_time,
             lambda: f"{owner_time} s, not {heard()}",
-            meanwhile=lambda: (owner.publish(time_of(owner_time)), listener.spin_once()),
+            meanwhile=lambda: (
+                owner.publish(time_of(owner_time)),
+                listener.spin_once(),
+            ),
         )
 
     def heard() -> float:
@@ -334,7 +417,10 @@ def test_a_forged_clock_is_not_time(start: Callable[..., Inside], listener: List
         wait_for(
             lambda before=before: refused() > before,
             "the refusal",
-            meanwhile=lambda k=k: (forger.publish(time_of(forged + k)), listener.spin_once()),
+            meanwhile=lambda k=k: (
+                forger.publish(time_of(forged + k)),
+                listener.spin_once(),
+            ),
         )
         goes_on()
 
@@ -352,7 +438,9 @@ class Bare(_LiveRun):
     """A launcher without processes."""
 
     def start(self, node: Watch) -> None:
-        node.create_subscription(messages.LoopSample, "plant/sample", self._live.take_sample, 100)
+        node.create_subscription(
+            messages.LoopSample, "plant/sample", self._live.take_sample, 100
+        )
 
     def show(self, line: str) -> None:
         """Nobody looks."""
@@ -368,7 +456,14 @@ PROGRAMS: dict[str, tuple[str, ...]] = {
     "twin": (),
     "rig": (),
     "plant_clock": ("-p", "address:=localhost:9"),
-    "sampler": ("-p", "map.output:=/y:data", "-p", "map.input:=/u:data", "-p", "wait_timeout:=0.0"),
+    "sampler": (
+        "-p",
+        "map.output:=/y:data",
+        "-p",
+        "map.input:=/u:data",
+        "-p",
+        "wait_timeout:=0.0",
+    ),
     "recorder": (),
     "player": ("-p", "wait_for:=9"),
     "dashboard": ("-p", "port:=0", "-p", "control:=true"),
@@ -380,7 +475,12 @@ KINDS: dict[str, Callable[[], list[Any]]] = {
     "foxglove": lambda: [Foxglove],
     "live_watch": lambda: [launcher()],
 }
-ANYTHING = {Trigger.Request, SetBool.Request, GetParameterTypes.Request, DescribeParameters.Request}
+ANYTHING = {
+    Trigger.Request,
+    SetBool.Request,
+    GetParameterTypes.Request,
+    DescribeParameters.Request,
+}
 """Requests of which nothing is expected."""
 OF_RCLPY = "get_type_description"
 """A service that rclpy answers outside Python."""
@@ -391,13 +491,20 @@ MALFORMED = int(os.environ.get("TWINMATCH_FUZZ", "120"))
 
 
 @pytest.fixture
-def program(request: pytest.FixtureRequest, tmp_path: Path, session: Path) -> Iterator[Inside]:
+def program(
+    request: pytest.FixtureRequest, tmp_path: Path, session: Path
+) -> Iterator[Inside]:
     name = request.param
     own_arguments = {
         "recorder": ("-p", f"folder:={tmp_path}"),
         "player": ("-p", f"session:={session}", "-p", "wait_timeout:=3600.0"),
     }
-    arguments = (*PROGRAMS[name], "-p", "use_sim_time:=true", *own_arguments.get(name, ()))
+    arguments = (
+        *PROGRAMS[name],
+        "-p",
+        "use_sim_time:=true",
+        *own_arguments.get(name, ()),
+    )
     inside = Inside(name, *arguments, kinds=KINDS[name]() if name in KINDS else ())
     launchers = [node.supervised for node in inside.nodes if isinstance(node, Watch)]
     yield inside
@@ -409,12 +516,20 @@ def program(request: pytest.FixtureRequest, tmp_path: Path, session: Path) -> It
 def receiving(program: Inside) -> dict[str, Any]:
     """The types of all topics that its nodes read; the log is only passed on, once somebody publishes it."""
     readers = (reader for node in program.nodes for reader in node.subscriptions)
-    return {reader.topic_name: reader.msg_type for reader in readers if reader.msg_type is not Log}
+    return {
+        reader.topic_name: reader.msg_type
+        for reader in readers
+        if reader.msg_type is not Log
+    }
 
 
 def serving(program: Inside) -> dict[str, Any]:
     """The types of all services that its nodes offer."""
-    kinds = {service.service_name: service.srv_type for node in program.nodes for service in node.services}
+    kinds = {
+        service.service_name: service.srv_type
+        for node in program.nodes
+        for service in node.services
+    }
     return {name: kind for name, kind in kinds.items() if OF_RCLPY not in name}
 
 
@@ -429,7 +544,9 @@ class Beside:
         qos = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         publisher = listener.node.create_publisher
         client = listener.node.create_client
-        self.writers = {name: publisher(kind, name, qos) for name, kind in self.topics.items()}
+        self.writers = {
+            name: publisher(kind, name, qos) for name, kind in self.topics.items()
+        }
         self.clients = [client(kind, name) for name, kind in self.services.items()]
         self._answers: list[Any] = []
         listener.spin_until(
@@ -446,7 +563,11 @@ class Beside:
     def hear_out(self) -> None:
         """Until everything is answered: what was published before was then read."""
         self._listener.spin_until(
-            lambda: all(answer.done() for answer in self._answers) or not self._program.running, "answers"
+            lambda: (
+                all(answer.done() for answer in self._answers)
+                or not self._program.running
+            ),
+            "answers",
         )
         self._answers.clear()
         assert self._program.running, self._program.text
@@ -454,22 +575,31 @@ class Beside:
     def end(self) -> None:
         """End the program, which has said what it refused."""
         refusal_counters = {
-            k for node in self._program.nodes for k in node.health.report().values if "refused" in k
+            k
+            for node in self._program.nodes
+            for k in node.health.report().values
+            if "refused" in k
         }
         assert len(refusal_counters) >= len(self.topics)
-        assert all(node.entrance.refusals <= Entrance.MAX_KINDS for node in self._program.nodes)
+        assert all(
+            node.entrance.refusals <= Entrance.MAX_KINDS for node in self._program.nodes
+        )
         assert self._program.end() == 0, self._program.text
 
 
 @pytest.mark.parametrize("program", PROGRAMS, indirect=True)
-def test_nonsense_on_every_topic_and_service_ends_nothing(program: Inside, listener: Listener) -> None:
+def test_nonsense_on_every_topic_and_service_ends_nothing(
+    program: Inside, listener: Listener
+) -> None:
     """Every program continues and says what it refused."""
     beside = Beside(program, listener)
     drawn = Nonsense(18)
     assert beside.topics
     assert beside.services
     assert {kind for kind in beside.topics.values() if kind not in MESSAGES} == set()
-    assert {kind.Request for kind in beside.services.values()} <= MESSAGES.keys() | ANYTHING
+    assert {
+        kind.Request for kind in beside.services.values()
+    } <= MESSAGES.keys() | ANYTHING
     for _ in range(EACH):
         for name, writer in beside.writers.items():
             writer.publish(drawn.message(beside.topics[name]))
@@ -488,7 +618,9 @@ def test_malformed_bytes_on_every_topic_end_nothing(
     """Nor does rclpy write about them."""
     beside = Beside(program, listener)
     drawn = Nonsense(27)
-    (*_, client) = (client for client in beside.clients if client.srv_type is DescribeParameters)
+    (*_, client) = (
+        client for client in beside.clients if client.srv_type is DescribeParameters
+    )
     for _ in range(-(-MALFORMED // len(beside.topics))):
         for name, writer in beside.writers.items():
             writer.publish(drawn.malformed(beside.topics[name]))
@@ -513,12 +645,20 @@ def test_a_refusal_is_reported_once_with_its_sender(
         listener.samples.publish(messages.LoopSample())
     refusal = "plant/sample: sample 0 has 0 references, 0 outputs and 0 inputs"
     listener.spin_until(lambda: listener.said(refusal), "the refusal")
-    listener.spin_until(lambda: "3" in listener.values("refused: plant/sample"), "the count")
+    listener.spin_until(
+        lambda: "3" in listener.values("refused: plant/sample"), "the count"
+    )
     listener.spin_until(lambda: listener.said("(published by listener)"), "its sender")
-    reported = [s.message for s in listener.reports("twin_simulator: health") if refusal in s.message]
+    reported = [
+        s.message
+        for s in listener.reports("twin_simulator: health")
+        if refusal in s.message
+    ]
     assert {message.count(refusal) for message in reported} == {1}
     listener.send(steps[:3])
-    listener.spin_until(lambda: "2" in listener.values("sample"), "the samples after it")
+    listener.spin_until(
+        lambda: "2" in listener.values("sample"), "the samples after it"
+    )
 
 
 def test_many_kinds_of_nonsense_on_a_topic_are_counted_and_few_are_reported(
@@ -528,19 +668,30 @@ def test_many_kinds_of_nonsense_on_a_topic_are_counted_and_few_are_reported(
     assert not listener.health
     start("twin_simulator")
     listener.spin_until(listener.samples.get_subscription_count, "the simulator")
-    other_nodes = [Node(f"other_{k}", context=listener.node.context) for k in range(Entrance.MAX_NAMES)]
+    other_nodes = [
+        Node(f"other_{k}", context=listener.node.context)
+        for k in range(Entrance.MAX_NAMES)
+    ]
     for node in other_nodes:
         node.create_publisher(messages.LoopSample, "plant/sample", 10)
     many = Entrance.MAX_NAMES + 1
-    listener.spin_until(lambda: listener.node.count_publishers("plant/sample") == many, "the publishers")
+    listener.spin_until(
+        lambda: listener.node.count_publishers("plant/sample") == many, "the publishers"
+    )
     draw = Nonsense(seed=27)
     for _ in range(60):
         listener.samples.publish(draw.refused(messages.LoopSample))
-    listener.spin_until(lambda: "60" in listener.values("refused: plant/sample"), "the count")
     listener.spin_until(
-        lambda: listener.said(f"(published by one of {many} nodes; ros2 topic"), "the senders"
+        lambda: "60" in listener.values("refused: plant/sample"), "the count"
     )
-    kinds_told = [status.message.count("refused: ") for status in listener.reports("twin_simulator: health")]
+    listener.spin_until(
+        lambda: listener.said(f"(published by one of {many} nodes; ros2 topic"),
+        "the senders",
+    )
+    kinds_told = [
+        status.message.count("refused: ")
+        for status in listener.reports("twin_simulator: health")
+    ]
     assert max(kinds_told) == Entrance.MAX_REASONS
     for node in other_nodes:
         node.destroy_node()
@@ -549,7 +700,11 @@ def test_many_kinds_of_nonsense_on_a_topic_are_counted_and_few_are_reported(
 @pytest.mark.parametrize(
     ("topic", "kind", "words"),
     [
-        ("plant/sample", messages.LoopSample, "/plant/sample is published by controller and listener"),
+        (
+            "plant/sample",
+            messages.LoopSample,
+            "/plant/sample is published by controller and listener",
+        ),
         ("/clock", Clock, "/clock is published by listener and listener"),
     ],
 )
@@ -560,11 +715,16 @@ def test_a_second_publisher_is_named(
     start("rig")
     listener.spin_until(lambda: listener.reports("keeper: health"), "the keeper")
     assert not listener.said("is published by")
-    publishers = [listener.node.create_publisher(kind, topic, 10) for _ in range(words.count("listener"))]
+    publishers = [
+        listener.node.create_publisher(kind, topic, 10)
+        for _ in range(words.count("listener"))
+    ]
     listener.spin_until(lambda: listener.said(words), "the name")
     for publisher in publishers:
         listener.node.destroy_publisher(publisher)
-    listener.spin_until(lambda: words not in listener.reports("keeper: health")[-1].message, "its end")
+    listener.spin_until(
+        lambda: words not in listener.reports("keeper: health")[-1].message, "its end"
+    )
 
 
 def test_a_flood_of_sound_messages_is_not_queued(
@@ -572,23 +732,41 @@ def test_a_flood_of_sound_messages_is_not_queued(
 ) -> None:
     """Matches that nobody asked for, and requests beyond some: they would be asked for again."""
     let = threading.Event()
-    monkeypatch.setattr("twinmatch.nodes.twin.carry_out", lambda *given: let.wait() and carry_out(*given))
+    monkeypatch.setattr(
+        "twinmatch.nodes.twin.carry_out",
+        lambda *given: let.wait() and carry_out(*given),
+    )
     twin = start("twin")
     nodes = {node.NAME: node for node in twin.nodes}
     matches = listener.node.create_publisher(messages.Match, "twin/match", EVERYTHING)
-    requests = listener.node.create_publisher(messages.MatchRequest, "twin/match_request", EVERYTHING)
-    listener.spin_until(lambda: all(p.get_subscription_count() for p in (matches, requests)), "the twin")
+    requests = listener.node.create_publisher(
+        messages.MatchRequest, "twin/match_request", EVERYTHING
+    )
+    listener.spin_until(
+        lambda: all(p.get_subscription_count() for p in (matches, requests)), "the twin"
+    )
     for k in range(300):
         matches.publish(sound_match())
         requests.publish(sound_request(k))
-    counts = {"discriminator": "matches not asked for", "matcher": "left to be repeated"}
+    counts = {
+        "discriminator": "matches not asked for",
+        "matcher": "left to be repeated",
+    }
 
     def counted() -> bool:
         assert twin.running, twin.text
-        dropped = {name: nodes[name].health.report().values.get(key, "0") for name, key in counts.items()}
-        return int(dropped["discriminator"]) == 300 and int(dropped["matcher"]) == 300 - MAX_WAITING
+        dropped = {
+            name: nodes[name].health.report().values.get(key, "0")
+            for name, key in counts.items()
+        }
+        return (
+            int(dropped["discriminator"]) == 300
+            and int(dropped["matcher"]) == 300 - MAX_WAITING
+        )
 
-    listener.spin_until(counted, lambda: str([node.health.report() for node in twin.nodes]))
+    listener.spin_until(
+        counted, lambda: str([node.health.report() for node in twin.nodes])
+    )
     assert nodes["discriminator"].worker.depth == 0
     assert nodes["matcher"].worker.depth < MAX_WAITING
     let.set()
@@ -613,7 +791,11 @@ def of_plant(name: str, message: Any) -> Any:
 
 @pytest.mark.parametrize("late", [False, True])
 def test_what_is_said_of_a_plant_in_a_file_is_recorded(
-    start: Callable[..., Inside], listener: Listener, steps: list[Sample], tmp_path: Path, late: bool
+    start: Callable[..., Inside],
+    listener: Listener,
+    steps: list[Sample],
+    tmp_path: Path,
+    late: bool,
 ) -> None:
     """The recorder has not loaded it, and receives it live or from the keeper. A message of a plant that it
     has loaded is refused if it cannot be read."""
@@ -623,9 +805,15 @@ def test_what_is_said_of_a_plant_in_a_file_is_recorded(
             "twin/match_request": sound_request(1),
             "twin/leader": published["twin/model_score"].forecasts[0],
         }
-    published = {topic: of_plant("of_nobody_here", message) for topic, message in published.items()}
+    published = {
+        topic: of_plant("of_nobody_here", message)
+        for topic, message in published.items()
+    }
     make = listener.node.create_publisher
-    writers = {topic: make(type(message), topic, EVERYTHING) for topic, message in published.items()}
+    writers = {
+        topic: make(type(message), topic, EVERYTHING)
+        for topic, message in published.items()
+    }
     publishers = (*writers.values(), listener.samples)
     assert not listener.health
     arguments = "-p", f"folder:={tmp_path}", "-p", "name:=run", "-p", "min_free_mb:=1.0"
@@ -638,10 +826,15 @@ def test_what_is_said_of_a_plant_in_a_file_is_recorded(
             for s in listener.reports(f"{name}: health")
             for v in s.values
         ]
-        return {(v.key.replace(" /", " "), v.value) for v in entries if v.key.startswith("refused: ")}
+        return {
+            (v.key.replace(" /", " "), v.value)
+            for v in entries
+            if v.key.startswith("refused: ")
+        }
 
     listener.spin_until(
-        lambda: all(publisher.get_subscription_count() for publisher in publishers), "a reader"
+        lambda: all(publisher.get_subscription_count() for publisher in publishers),
+        "a reader",
     )
     unreadable = sound_match()
     unreadable.parameters.values = [-1.0] * len(unreadable.parameters.values)
@@ -656,10 +849,14 @@ def test_what_is_said_of_a_plant_in_a_file_is_recorded(
         def kept(topic: str) -> int:
             return int(keeper.health.report().values.get(topic, "0"))
 
-        listener.spin_until(lambda: kept("twin/match") and kept("twin/model_score"), "the keeper")
+        listener.spin_until(
+            lambda: kept("twin/match") and kept("twin/model_score"), "the keeper"
+        )
         before = listener.samples.get_subscription_count()
         start("recorder", *arguments)
-        listener.spin_until(lambda: listener.samples.get_subscription_count() > before, "the recorder")
+        listener.spin_until(
+            lambda: listener.samples.get_subscription_count() > before, "the recorder"
+        )
     listener.send(steps[330:331])
     counts = {topic.replace("/", "__"): 1 for topic in published}
     wait_for_recorded(tmp_path / "run", plant__sample=331, **counts)
@@ -674,17 +871,24 @@ def test_a_keeper_keeps_no_more_verdicts_than_there_are_samples(
     start: Callable[..., Inside], listener: Listener
 ) -> None:
     keeper = next(node for node in start("rig").nodes if node.NAME == "keeper")
-    scores = listener.node.create_publisher(messages.ModelScore, "twin/model_score", EVERYTHING)
+    scores = listener.node.create_publisher(
+        messages.ModelScore, "twin/model_score", EVERYTHING
+    )
     listener.spin_until(scores.get_subscription_count, "the keeper")
     for k in range(150):
         scores.publish(message_of(verdict(TrustLevel.TRUSTED, sample=300 + k), 0))
     key = "twin/model_score: more than samples"
-    listener.spin_until(lambda: keeper.health.report().values.get(key) == "50", "the count")
+    listener.spin_until(
+        lambda: keeper.health.report().values.get(key) == "50", "the count"
+    )
     assert keeper.report().values["twin/model_score"] == "100"
 
 
 def test_samples_beyond_what_memory_should_hold_are_left_to_be_fetched(
-    start: Callable[..., Inside], listener: Listener, steps: list[Sample], monkeypatch: pytest.MonkeyPatch
+    start: Callable[..., Inside],
+    listener: Listener,
+    steps: list[Sample],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("twinmatch.nodes.samples.SampleNode.MAX_QUEUED", -1)
     requests: list[Past.Request] = []
@@ -698,7 +902,8 @@ def test_samples_beyond_what_memory_should_hold_are_left_to_be_fetched(
     listener.spin_until(listener.samples.get_subscription_count, "the simulator")
     listener.send(steps[:30])
     listener.spin_until(
-        lambda: node.health.report().values.get("samples left to be fetched") == "30", "the count"
+        lambda: node.health.report().values.get("samples left to be fetched") == "30",
+        "the count",
     )
     monkeypatch.undo()
     listener.send(steps[30:31])

@@ -38,7 +38,9 @@ class Desk:
         self._listener = listener
         self._asked = listener.node.create_client(Experiment, "twin/experiment")
         self._tried = listener.node.create_client(TryLaw, "twin/try_law")
-        self._read = listener.node.create_client(GetParameters, "controller/get_parameters")
+        self._read = listener.node.create_client(
+            GetParameters, "controller/get_parameters"
+        )
 
     def ask(self, **fields: Any) -> Experiment.Response:
         return self._call(self._asked, Experiment.Request(**fields))
@@ -60,9 +62,14 @@ class Desk:
         answer = self.ask(goal="parameters", run=True, request="mine")
         assert answer.success, answer.message
         for asked in ({"run": True}, {}):
-            assert self.ask(**asked).message.startswith("an experiment runs, or is being sought")
+            assert self.ask(**asked).message.startswith(
+                "an experiment runs, or is being sought"
+            )
         assert self.law().message.startswith("an experiment runs, or is being sought")
-        running = lambda: [r for r in reports[count_before:] if r.phase_name == "running"]  # noqa: E731
+
+        def running() -> list[Any]:
+            return [r for r in reports[count_before:] if r.phase_name == "running"]
+
         self._listener.spin_until(running, "its start")
         report = running()[0]
         course = [list(report.levels), list(report.holds), True]
@@ -103,26 +110,50 @@ def test_the_controller_follows_a_course_and_returns_to_the_set_point_before(
     assert "no controller is here" in desk.ask(run=True).message
     assert desk.ask(within=[1.0]).message.startswith("within has 1 values")
     assert desk.ask(stop=True).message == "no experiment runs"
-    start("controller", "-p", f"profile.levels:={LEVELS}", "-p", "profile.holds:=[100.0, 200.0]")
+    start(
+        "controller",
+        "-p",
+        f"profile.levels:={LEVELS}",
+        "-p",
+        "profile.holds:=[100.0, 200.0]",
+    )
     own_profile = desk.profile()
     listener.wait_for_nodes("twin/match", "twin/match_request")
     listener.send(steps)
-    listener.spin_until(lambda: verdicts and verdicts[-1].sample > steps[-1].index - 60, "the last verdict")
+    listener.spin_until(
+        lambda: verdicts and verdicts[-1].sample > steps[-1].index - 60,
+        "the last verdict",
+    )
     before = steps[-1].reference
     desk.begin(reports, before)
     assert desk.ask(stop=True).success
     listener.spin_until(lambda: reports[-1].phase_name == "ended", "its end")
     assert "stopped by the operator" in reports[-1].reason
-    assert desk.course() == [[before], [1.0], True], "the set-point is where it was, and stays there"
+    assert desk.course() == [[before], [1.0], True], (
+        "the set-point is where it was, and stays there"
+    )
     assert desk.profile() == own_profile
     count_before = len(reports)
-    asking = Inside("experiment", "-p", "goal:=parameters", "-p", "run:=true", kinds=[ExperimentAsking])
-    listener.spin_until(lambda: [r for r in reports[count_before:] if r.phase_name == "running"], "its start")
+    asking = Inside(
+        "experiment",
+        "-p",
+        "goal:=parameters",
+        "-p",
+        "run:=true",
+        kinds=[ExperimentAsking],
+    )
+    listener.spin_until(
+        lambda: [r for r in reports[count_before:] if r.phase_name == "running"],
+        "its start",
+    )
     report = reports[-1]
-    listener.spin_until(lambda: desk.course()[0] == list(report.levels), "the controller")
+    listener.spin_until(
+        lambda: desk.course()[0] == list(report.levels), "the controller"
+    )
     assert report.levels[-1] == before
     twin.kill()
-    start_process("discriminator")  # knows of no experiment, and must not be taken for the one before
+    # knows of no experiment, and must not be taken for the one before
+    start_process("discriminator")
     assert asking.wait() == 1
     lost = r"the twin has (ended|said nothing for 5 s); the controller follows the course to its end"
     assert re.search(f"^experiment: {lost}", capfd.readouterr().err, re.MULTILINE)

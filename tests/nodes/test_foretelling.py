@@ -37,7 +37,9 @@ class Offline:
             step = self.discriminator.push_sample(sample)
             snapshots = list(step.snapshots)
             if step.request is not None:
-                snapshots += self.discriminator.push_match(carry_out(step.request, settings)).snapshots
+                snapshots += self.discriminator.push_match(
+                    carry_out(step.request, settings)
+                ).snapshots
             for snapshot in snapshots:
                 self._take(snapshot)
 
@@ -97,7 +99,11 @@ REFUSED = {
 
 
 def test_every_sample_has_the_offline_forecast(
-    start_process: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
+    start_process: Start,
+    listener: Listener,
+    ask: Asker,
+    steps: list[Sample],
+    offline: Offline,
 ) -> None:
     """And every leader the offline one; the answers at the end are the core's to the last bit.
 
@@ -113,20 +119,34 @@ def test_every_sample_has_the_offline_forecast(
     killed.kill()
     listener.spin_until(lambda: not ask.found(), "its end")
     start_process("discriminator")
-    listener.wait_for_nodes("twin/forecast", "twin/leader", "twin/match", "twin/match_request")
+    listener.wait_for_nodes(
+        "twin/forecast", "twin/leader", "twin/match", "twin/match_request"
+    )
     listener.spin_until(ask.found, "the service")
-    assert ask().message.startswith("forecast: there is no candidate yet; the first comes with")
+    assert ask().message.startswith(
+        "forecast: there is no candidate yet; the first comes with"
+    )
     listener.send(steps)
-    listener.spin_until(lambda: len(forecasts) == len(offline.forecasts), "the last forecast")
+    listener.spin_until(
+        lambda: len(forecasts) == len(offline.forecasts), "the last forecast"
+    )
     assert [repr(m) for m in forecasts] == [repr(m) for m in offline.forecasts]
     assert [f.sample for f in forecasts] == list(range(forecasts[0].sample, len(steps)))
     assert repr(leaders[-1]) == repr(offline.leaders[-1])
     assert {10.0, 60.0, 300.0} <= set(forecasts[0].time)
     level = steps[-1].reference + 5.0
-    question = Question((20.0, 100.0), (level, level - 8.0), ramps=True, horizon=200.0, tolerance=1.5)
+    question = Question(
+        (20.0, 100.0), (level, level - 8.0), ramps=True, horizon=200.0, tolerance=1.5
+    )
     outlook = offline.discriminator.forecaster.outlook()
     expected = answer_message(what_if(outlook, question), steps[-1].stamp)
-    answer = ask(times=[20.0, 100.0], levels=[level, level - 8.0], ramps=True, horizon=200.0, tolerance=[1.5])
+    answer = ask(
+        times=[20.0, 100.0],
+        levels=[level, level - 8.0],
+        ramps=True,
+        horizon=200.0,
+        tolerance=[1.5],
+    )
     assert repr(answer) == repr(expected)
     assert (answer.forecast.sample, len(answer.forecast.time)) == (steps[-1].index, 200)
     nothing_changed = ask()
@@ -139,14 +159,22 @@ def test_every_sample_has_the_offline_forecast(
         assert not answer.success, fields
         assert refusal in answer.message
         assert "\n" not in answer.message
-    named = ask(candidate=offline.forecasts[0].candidate, level=[math.nan], tolerance=[math.nan])
+    named = ask(
+        candidate=offline.forecasts[0].candidate, level=[math.nan], tolerance=[math.nan]
+    )
     assert named.success, named.message
-    listener.spin_until(lambda: listener.values("forecast from sample"), "word of forecasts")
+    listener.spin_until(
+        lambda: listener.values("forecast from sample"), "word of forecasts"
+    )
     assert "" not in listener.values("leader")
 
 
 def test_questions_are_answered_while_a_match_is_awaited(
-    start_process: Start, listener: Listener, ask: Asker, steps: list[Sample], offline: Offline
+    start_process: Start,
+    listener: Listener,
+    ask: Asker,
+    steps: list[Sample],
+    offline: Offline,
 ) -> None:
     """Matching stops after the first match: verdicts wait, answers do not."""
     requests = listener.hear(MatchRequest, "twin/match_request", EVERYTHING)
@@ -157,19 +185,28 @@ def test_questions_are_answered_while_a_match_is_awaited(
     listener.wait_for_nodes("twin/match", "twin/match_request", "twin/model_score")
     first = offline.forecasts[0].sample
     listener.send(steps[: first + 1])
-    listener.spin_until(lambda: any(score.candidates for score in scores), "the first candidate")
+    listener.spin_until(
+        lambda: any(score.candidates for score in scores), "the first candidate"
+    )
     matcher.kill()
     answered = len(matches)
     listener.send(steps[first + 1 :])
     listener.spin_until(
-        lambda: len({request.sample for request in requests}) > len({m.sample for m in matches}),
+        lambda: (
+            len({request.sample for request in requests})
+            > len({m.sample for m in matches})
+        ),
         "a request without an answer",
     )
     answer = listener.spin_until(lambda: _answered(ask()), "an answer")
     waits = max(request.sample for request in requests)
     assert first <= answer.forecast.sample <= waits
     assert len(matches) == answered
-    assert answer.forecast.output_low[0] < answer.forecast.output[0] < answer.forecast.output_high[0]
+    assert (
+        answer.forecast.output_low[0]
+        < answer.forecast.output[0]
+        < answer.forecast.output_high[0]
+    )
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,10 @@ from twinmatch.nodes.network import (
     sockets_elsewhere,
 )
 
-VERSIONS = {"fastrtps": "FASTRTPS_DEFAULT_PROFILES_FILE", "fastdds": "FASTDDS_DEFAULT_PROFILES_FILE"}
+VERSIONS = {
+    "fastrtps": "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "fastdds": "FASTDDS_DEFAULT_PROFILES_FILE",
+}
 
 
 @pytest.mark.parametrize("folder", VERSIONS)
@@ -46,7 +49,9 @@ def test_loopback_is_the_default(tmp_path: Path, folder: str) -> None:
     assert "ROS_DISCOVERY_SERVER" not in environment
 
 
-def test_open_leaves_the_variables_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+def test_open_leaves_the_variables_and_says_so(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     environment = {"TWINMATCH_NETWORK": "open", "ROS_STATIC_PEERS": "10.0.0.1"}
     assert prepare(environment) is Network.OPEN
     assert environment["ROS_STATIC_PEERS"] == "10.0.0.1"
@@ -56,8 +61,13 @@ def test_open_leaves_the_variables_and_says_so(capsys: pytest.CaptureFixture[str
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_closed_when_a_profile_is_missing(tmp_path: Path, name: str) -> None:
-    with pytest.raises(NetworkError, match=r"gone\.xml is missing, without which the nodes would be open"):
-        prepare({"AMENT_PREFIX_PATH": "/nowhere"}, {**PROFILES, name: tmp_path / "gone.xml"})
+    with pytest.raises(
+        NetworkError,
+        match=r"gone\.xml is missing, without which the nodes would be open",
+    ):
+        prepare(
+            {"AMENT_PREFIX_PATH": "/nowhere"}, {**PROFILES, name: tmp_path / "gone.xml"}
+        )
 
 
 def test_both_profiles_say_the_same() -> None:
@@ -71,7 +81,9 @@ def test_both_profiles_say_the_same() -> None:
     assert heartbeat[0].replace("heartbeatPeriod", "heartbeat_period") == heartbeat[1]
 
 
-def test_a_graph_in_step_has_another_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_graph_in_step_has_another_lease(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The profile is otherwise the same; after the run the lease is that of the profile again."""
     monkeypatch.setenv("TWINMATCH_CACHE", str(tmp_path))
     with lease(45.0):
@@ -83,14 +95,19 @@ def test_a_graph_in_step_has_another_lease(tmp_path: Path, monkeypatch: pytest.M
         assert path.is_relative_to(tmp_path)
         written = path.read_text()
         text = profile.read_text()
-        assert written == text.replace("<leaseDuration><sec>5<", "<leaseDuration><sec>45<") != text
+        assert (
+            written
+            == text.replace("<leaseDuration><sec>5<", "<leaseDuration><sec>45<")
+            != text
+        )
     with pytest.raises(NetworkError, match="is 'long'; give whole seconds"):
         prepare({"AMENT_PREFIX_PATH": "/nowhere", LEASE: "long"})
 
 
 def test_a_middleware_that_cannot_be_restricted_to_this_machine_is_refused() -> None:
     with pytest.raises(
-        NetworkError, match="rmw_cyclonedds_cpp, which twinmatch cannot restrict to this machine"
+        NetworkError,
+        match="rmw_cyclonedds_cpp, which twinmatch cannot restrict to this machine",
     ):
         prepare({"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"})
 
@@ -106,7 +123,9 @@ def test_without_a_home_no_logs_are_written(environment: dict[str, str]) -> None
     assert log_arguments(environment) == ["--ros-args", "--disable-external-lib-logs"]
 
 
-@pytest.mark.parametrize("variables", [{"ROS_LOG_DIR": "/here"}, {"ROS_HOME": "/there"}, {"HOME": "/"}])
+@pytest.mark.parametrize(
+    "variables", [{"ROS_LOG_DIR": "/here"}, {"ROS_HOME": "/there"}, {"HOME": "/"}]
+)
 def test_a_place_for_logs_is_kept(variables: dict[str, str]) -> None:
     environment = dict(variables)
     assert log_arguments(environment) == []
@@ -144,7 +163,9 @@ def test_only_listening_tcp_sockets_count() -> None:
         bound.bind(("0.0.0.0", 0))
         assert set(sockets_elsewhere()) == before
         bound.listen()
-        assert set(sockets_elsewhere()) - before == {f"tcp 0.0.0.0:{bound.getsockname()[1]}"}
+        assert set(sockets_elsewhere()) - before == {
+            f"tcp 0.0.0.0:{bound.getsockname()[1]}"
+        }
 
 
 def test_udp_sockets_elsewhere_are_refused() -> None:
@@ -166,7 +187,9 @@ def test_every_domain_that_there_is_may_be_named(value: str) -> None:
 @pytest.mark.parametrize("value", ["233", "-1", "abc", "1.5", "9" * 5000, "²", " 7"])
 @pytest.mark.parametrize("network", ["loopback", "open"])
 def test_a_domain_that_there_is_not_is_refused(value: str, network: str) -> None:
-    with pytest.raises(NetworkError, match=r"^network: ROS_DOMAIN_ID is .* whole number from 0 to 232$") as e:
+    with pytest.raises(
+        NetworkError, match=r"^network: ROS_DOMAIN_ID is .* whole number from 0 to 232$"
+    ) as e:
         prepare({"ROS_DOMAIN_ID": value, "TWINMATCH_NETWORK": network})
     assert len(str(e.value)) < 200
 
@@ -203,9 +226,15 @@ def test_a_middleware_is_looked_for_where_ros_is(tmp_path: Path) -> None:
     index = tmp_path / "share/ament_index/resource_index/rmw_typesupport"
     index.mkdir(parents=True)
     (index / "rmw_other_cpp").touch()
-    environment = {"RMW_IMPLEMENTATION": "rmw_other_cpp", "AMENT_PREFIX_PATH": f"/nowhere:{tmp_path}"}
+    environment = {
+        "RMW_IMPLEMENTATION": "rmw_other_cpp",
+        "AMENT_PREFIX_PATH": f"/nowhere:{tmp_path}",
+    }
     assert problem(environment) == ""
     assert "'rmw_third_cpp', which is not installed" in problem(
         environment | {"RMW_IMPLEMENTATION": "rmw_third_cpp"}
     )
-    assert problem({"RMW_IMPLEMENTATION": "rmw_other_cpp"}, wheel_prefix="/nowhere") == ""  # nobody knows
+    # nobody knows
+    assert (
+        problem({"RMW_IMPLEMENTATION": "rmw_other_cpp"}, wheel_prefix="/nowhere") == ""
+    )

@@ -22,17 +22,30 @@ DAY = 86_400 * SECOND
 class Clocks:
     """Three clocks that a test sets."""
 
-    def __init__(self, stamps: float = 1000.0, plant: float = 1000.0, wall: float = 50.0) -> None:
-        self.times = ClockTimes(round(stamps * SECOND), round(plant * SECOND), round(wall * SECOND))
+    def __init__(
+        self, stamps: float = 1000.0, plant: float = 1000.0, wall: float = 50.0
+    ) -> None:
+        self.times = ClockTimes(
+            round(stamps * SECOND), round(plant * SECOND), round(wall * SECOND)
+        )
 
     def __call__(self) -> ClockTimes:
         return self.times
 
-    def step(self, stamps: float, plant: float | None = None, wall: float | None = None) -> None:
+    def step(
+        self, stamps: float, plant: float | None = None, wall: float | None = None
+    ) -> None:
         """Let the clocks continue by so many seconds; all alike if only one number is given."""
-        moves = (stamps, stamps if plant is None else plant, stamps if wall is None else wall)
+        moves = (
+            stamps,
+            stamps if plant is None else plant,
+            stamps if wall is None else wall,
+        )
         self.times = ClockTimes(
-            *(reading + round(seconds * SECOND) for reading, seconds in zip(self.times, moves, strict=True))
+            *(
+                reading + round(seconds * SECOND)
+                for reading, seconds in zip(self.times, moves, strict=True)
+            )
         )
 
     @property
@@ -176,7 +189,9 @@ def armed_pair() -> tuple[Clocks, OutputGate]:
     """The gate of two drives, of which nothing is known but their names."""
     clocks = Clocks()
     limits = (GuardLimits(thing="left plate"), GuardLimits(thing="right plate"))
-    gate = OutputGate(clocks, [OutputGuard(limits_of_drive) for limits_of_drive in limits])
+    gate = OutputGate(
+        clocks, [OutputGuard(limits_of_drive) for limits_of_drive in limits]
+    )
     gate.decide()
     clocks.step(0.1)
     gate.command((120.0, 80.0), 7, clocks.stamp)
@@ -189,11 +204,31 @@ def armed_pair() -> tuple[Clocks, OutputGate]:
 @pytest.mark.parametrize(
     ("spoil", "kind", "text"),
     [
-        (lambda gate, now: gate.command((120.0, math.nan), 8, now), "command_invalid", "right plate is nan"),
-        (lambda gate, now: gate.command((900.0, 80.0), 8, now), "command_invalid", "left plate is 900"),
-        (lambda gate, now: gate.command(120.0, 8, now), "command_invalid", "1 values for 2 drives"),
-        (lambda gate, now: gate.temperature((25.0, 111.0), now), "over_temperature", "the right plate is at"),
-        (lambda gate, now: gate.temperature((math.nan, 30.0), now), "temperature_invalid", "nan"),
+        (
+            lambda gate, now: gate.command((120.0, math.nan), 8, now),
+            "command_invalid",
+            "right plate is nan",
+        ),
+        (
+            lambda gate, now: gate.command((900.0, 80.0), 8, now),
+            "command_invalid",
+            "left plate is 900",
+        ),
+        (
+            lambda gate, now: gate.command(120.0, 8, now),
+            "command_invalid",
+            "1 values for 2 drives",
+        ),
+        (
+            lambda gate, now: gate.temperature((25.0, 111.0), now),
+            "over_temperature",
+            "the right plate is at",
+        ),
+        (
+            lambda gate, now: gate.temperature((math.nan, 30.0), now),
+            "temperature_invalid",
+            "nan",
+        ),
         (lambda gate, _: gate.sample((90.0,) * 2, (25.0, 30.0), (255.0, 0.0)), "", ""),
         (lambda gate, _: gate.trip(FaultKind.LINK, "gone"), "link", "gone"),
     ],

@@ -15,7 +15,13 @@ from twinmatch.nodes import keeper
 from twinmatch.nodes.expected import check
 from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.keeper import RunStore
-from twinmatch.nodes.past import Copies, RecorderPast, Stream, samples_of_answer, values_of
+from twinmatch.nodes.past import (
+    Copies,
+    RecorderPast,
+    Stream,
+    samples_of_answer,
+    values_of,
+)
 from twinmatch.sessions.cdr import encode_sample
 from twinmatch.signals import Sample
 from twinmatch_msgs.msg import Match, ModelScore
@@ -42,7 +48,11 @@ def answered(stream: Stream, store: RunStore) -> bool:
 
 def test_an_answer_holds_any_number_of_signals() -> None:
     answer = Past.Response(
-        index=[4, 5], stamp=[1, 2], reference=[1.0, 2.0], output=[3.0, 4.0, 5.0, 6.0], input=[7.0, 8.0]
+        index=[4, 5],
+        stamp=[1, 2],
+        reference=[1.0, 2.0],
+        output=[3.0, 4.0, 5.0, 6.0],
+        input=[7.0, 8.0],
     )
     check(answer)
     assert list(samples_of_answer(answer)) == [
@@ -56,10 +66,16 @@ def test_an_answer_holds_any_number_of_signals() -> None:
 
 
 @given(
-    st.lists(st.tuples(st.integers(1, 4), st.booleans(), st.integers(0, 3)), min_size=1, max_size=60),
+    st.lists(
+        st.tuples(st.integers(1, 4), st.booleans(), st.integers(0, 3)),
+        min_size=1,
+        max_size=60,
+    ),
     st.integers(1, 7),
 )
-def test_every_sample_comes_once_and_in_order(ticks: list[tuple[int, bool, int]], most: int) -> None:
+def test_every_sample_comes_once_and_in_order(
+    ticks: list[tuple[int, bool, int]], most: int
+) -> None:
     """Ticks may be missed by the rig (steps > 1), samples lost on the way, answers come late."""
     out: list[int] = []
     produced: list[int] = []
@@ -125,7 +141,11 @@ NAMES = "sample", "match", "score"
     most=st.tuples(*[st.integers(1, 12)] * 2),
 )
 def test_a_session_holds_everything_once_and_may_be_cut_off_anywhere(
-    produced: set[int], about: tuple[list[int], ...], begin: int, live: tuple[int, int], most: tuple[int, int]
+    produced: set[int],
+    about: tuple[list[int], ...],
+    begin: int,
+    live: tuple[int, int],
+    most: tuple[int, int],
 ) -> None:
     """It never lacks a message about a sample before its last, whatever arrived live, and how late."""
     written: list[tuple[str, bytes]] = []
@@ -134,7 +154,10 @@ def test_a_session_holds_everything_once_and_may_be_cut_off_anywhere(
     serialised = []
     for kind, indices_of_kind in zip(KINDS, about, strict=True):
         sampled = sorted(set(indices_of_kind) & produced)
-        messages = [kind(sample=index, reason=str(number)) for number, index in enumerate(sampled)]
+        messages = [
+            kind(sample=index, reason=str(number))
+            for number, index in enumerate(sampled)
+        ]
         serialised.append(list(map(serialize_message, messages)))
     with limited_store(*most) as store:
         for live_sample in samples:
@@ -151,17 +174,30 @@ def test_a_session_holds_everything_once_and_may_be_cut_off_anywhere(
         while past.stream.missing is not None:
             assert answered(past.stream, store)
     expected = dict(
-        zip(NAMES, ([encode_sample(live_sample) for live_sample in samples], *serialised), strict=True)
+        zip(
+            NAMES,
+            ([encode_sample(live_sample) for live_sample in samples], *serialised),
+            strict=True,
+        )
     )
-    indices = {data: live_sample.index for data, live_sample in zip(expected["sample"], samples, strict=True)}
+    indices = {
+        data: live_sample.index
+        for data, live_sample in zip(expected["sample"], samples, strict=True)
+    }
     # rclpy leaves what lies between the fields of a message as it was: equal ones may differ in their bytes.
     read = {
         name: partial(deserialize_message, message_type=kind)
         for kind, name in zip(KINDS, NAMES[1:], strict=True)
     }
-    decoded = [(topic, read[topic](data) if topic in read else data) for topic, data in written]
+    decoded = [
+        (topic, read[topic](data) if topic in read else data) for topic, data in written
+    ]
     for name in NAMES:
-        wanted = [read[name](data) for data in expected[name]] if name in read else expected[name]
+        wanted = (
+            [read[name](data) for data in expected[name]]
+            if name in read
+            else expected[name]
+        )
         assert [content for topic, content in decoded if topic == name] == wanted
     order = [
         (content.sample if topic in read else indices[content], topic != "sample")
@@ -181,10 +217,16 @@ def test_no_message_is_written_twice_or_lost_wherever_fetched_and_live_ones_over
     stream = [str(number) for number in range(messages)]
     for message in stream[:fetched]:
         copies.add("verdicts", message)
-    live = [message for message in stream[begin:] if not copies.found("verdicts", lambda m=message: m)]
+    live = [
+        message
+        for message in stream[begin:]
+        if not copies.found("verdicts", lambda m=message: m)
+    ]
     assert stream[:fetched] + live == stream
     if fetched < messages:  # after the first new one, nothing is compared
-        assert not copies.found("verdicts", lambda: pytest.fail("its values are not wanted"))
+        assert not copies.found(
+            "verdicts", lambda: pytest.fail("its values are not wanted")
+        )
     assert not copies.found("matches", lambda: "0")
 
 

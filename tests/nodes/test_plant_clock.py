@@ -55,7 +55,13 @@ def test_plant_time_becomes_the_clock_and_standing_is_an_error(
     begin = ticking.stamp
     clock = listener.hear(Clock, "/clock", CLOCK)
     health = listener.health
-    start("plant_clock", "-p", "address:={}:{}".format(*ticking.server.address), "-p", "patience:=0.3")
+    start(
+        "plant_clock",
+        "-p",
+        "address:={}:{}".format(*ticking.server.address),
+        "-p",
+        "patience:=0.3",
+    )
     listener.spin_until(lambda: len(clock) > 50 and health, "the clock")
     times = [Time.from_msg(message.clock).nanoseconds for message in clock]
     assert all(time % 10_000_000 == begin % 10_000_000 for time in times)
@@ -63,7 +69,10 @@ def test_plant_time_becomes_the_clock_and_standing_is_an_error(
     assert begin < times[0] <= ticking.stamp
     ticking.stands = True
     listener.spin_until(
-        lambda: health[-1].status[0].level == b"\2" and "stood still" in health[-1].status[0].message,
+        lambda: (
+            health[-1].status[0].level == b"\2"
+            and "stood still" in health[-1].status[0].message
+        ),
         "the warning",
     )
     ticking.stands = False

@@ -29,20 +29,31 @@ EPOCH = 1_700_000_000_000_000_000
 
 
 def counted(number: int, period: float) -> list[Sample]:
-    return [Sample(k, EPOCH + round(k * period * 1e9), 50.0, 20.0 + k, 0.0) for k in range(number)]
+    return [
+        Sample(k, EPOCH + round(k * period * 1e9), 50.0, 20.0 + k, 0.0)
+        for k in range(number)
+    ]
 
 
-def test_every_byte_arrives(start_process: Start, listener: Listener, session: Path) -> None:
-    recorded = [message.data for message in read_session(session).messages(["/plant/sample"])]
+def test_every_byte_arrives(
+    start_process: Start, listener: Listener, session: Path
+) -> None:
+    recorded = [
+        message.data for message in read_session(session).messages(["/plant/sample"])
+    ]
     heard: list[bytes] = []
-    listener.node.create_subscription(LoopSample, "plant/sample", heard.append, EVERYTHING, raw=True)
+    listener.node.create_subscription(
+        LoopSample, "plant/sample", heard.append, EVERYTHING, raw=True
+    )
     player = start_process("player", "-p", f"session:={session}", "-p", "rate:=0.0")
     listener.spin_until(lambda: len(heard) == len(recorded), "the last sample")
     assert heard == recorded
     assert player.wait() == 0
 
 
-def test_a_session_of_the_first_form_is_played_as_one_of_today(start: Start, listener: Listener) -> None:
+def test_a_session_of_the_first_form_is_played_as_one_of_today(
+    start: Start, listener: Listener
+) -> None:
     path = Path(__file__).resolve().parents[1] / "sessions" / "first_form"
     heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
     player = start("player", "-p", f"session:={path}", "-p", "rate:=0.0")
@@ -52,7 +63,9 @@ def test_a_session_of_the_first_form_is_played_as_one_of_today(start: Start, lis
     assert player.wait() == 0
 
 
-def test_slow_reader_loses_nothing(start_process: Start, listener: Listener, tmp_path: Path) -> None:
+def test_slow_reader_loses_nothing(
+    start_process: Start, listener: Listener, tmp_path: Path
+) -> None:
     """It takes nothing until the player has ended, of more samples than the middleware keeps by default."""
     samples = counted(7000, 0.1)
     path = write_session(tmp_path / "long", samples)
@@ -64,15 +77,21 @@ def test_slow_reader_loses_nothing(start_process: Start, listener: Listener, tmp
     assert [sample_from(message) for message in heard] == samples
 
 
-def test_clock_goes_with_the_samples_and_pauses(start: Start, listener: Listener, tmp_path: Path) -> None:
+def test_clock_goes_with_the_samples_and_pauses(
+    start: Start, listener: Listener, tmp_path: Path
+) -> None:
     samples = counted(21, 1.0)
     path = write_session(tmp_path / "timed", samples)
     heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
     clock = listener.hear(Clock, "/clock", QoSProfile(depth=1000))
     assert not listener.health
     client = listener.node.create_client(SetBool, "player/pause")
-    player = start("player", "-p", f"session:={path}", "-p", "rate:=20.0", "-p", "paused:=true")
-    listener.spin_until(lambda: clock and client.service_is_ready(), "the clock, which stands")
+    player = start(
+        "player", "-p", f"session:={path}", "-p", "rate:=20.0", "-p", "paused:=true"
+    )
+    listener.spin_until(
+        lambda: clock and client.service_is_ready(), "the clock, which stands"
+    )
     assert {tick.clock.sec for tick in clock} == {EPOCH // 10**9}
     listener.spin_until(lambda: listener.said("paused"), "the pause")
     assert heard == []
@@ -80,7 +99,10 @@ def test_clock_goes_with_the_samples_and_pauses(start: Start, listener: Listener
     listener.spin_until(answer.done, "the answer")
     assert answer.result().message == "playing"
     listener.spin_until(lambda: len(heard) == len(samples), "the last sample")
-    listener.spin_until(lambda: clock[-1].clock.sec == samples[-1].stamp // 10**9, "the last of the clock")
+    listener.spin_until(
+        lambda: clock[-1].clock.sec == samples[-1].stamp // 10**9,
+        "the last of the clock",
+    )
     assert player.wait() == 0
     times = [tick.clock.sec * 10**9 + tick.clock.nanosec for tick in clock]
     assert times == sorted(times)
@@ -88,7 +110,9 @@ def test_clock_goes_with_the_samples_and_pauses(start: Start, listener: Listener
     assert max(times) == samples[-1].stamp
 
 
-def test_rate_is_changed_while_it_plays(start: Start, listener: Listener, tmp_path: Path) -> None:
+def test_rate_is_changed_while_it_plays(
+    start: Start, listener: Listener, tmp_path: Path
+) -> None:
     """At recorded speed this would take five minutes."""
     path = write_session(tmp_path / "five", counted(300, 1.0))
     heard = listener.hear(LoopSample, "plant/sample", EVERYTHING)
@@ -99,7 +123,9 @@ def test_rate_is_changed_while_it_plays(start: Start, listener: Listener, tmp_pa
 
     def ask(rate: float) -> Any:
         value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
-        request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
+        request = SetParameters.Request(
+            parameters=[Parameter(name="rate", value=value)]
+        )
         answer = client.call_async(request)
         listener.spin_until(answer.done, "the answer")
         return answer.result().results[0]
@@ -126,17 +152,25 @@ def test_the_end_is_reported_with_the_number_of_messages(
     assert listener.values("messages")[-1] == "41"
 
 
-def test_recorded_namespace_gives_way_to_the_players(start: Start, listener: Listener, session: Path) -> None:
+def test_recorded_namespace_gives_way_to_the_players(
+    start: Start, listener: Listener, session: Path
+) -> None:
     samples = read_session(session).samples
     heard = listener.hear(LoopSample, "/rig7/plant/sample", EVERYTHING)
-    player = start("player", "-r", "__ns:=/rig7", "-p", f"session:={session}", "-p", "rate:=0.0")
+    player = start(
+        "player", "-r", "__ns:=/rig7", "-p", f"session:={session}", "-p", "rate:=0.0"
+    )
     assert player.wait() == 0
     listener.spin_until(lambda: len(heard) == len(samples), "the last sample")
 
 
-@pytest.mark.parametrize("kind", ["nobody_msgs/msg/LoopSample", "twinmatch_msgs/msg/Nothing"])
+@pytest.mark.parametrize(
+    "kind", ["nobody_msgs/msg/LoopSample", "twinmatch_msgs/msg/Nothing"]
+)
 def test_a_type_that_is_not_installed_is_named_with_its_topic(kind: str) -> None:
-    with pytest.raises(PlayerError, match=f"player: /x: the type {kind} is not installed here"):
+    with pytest.raises(
+        PlayerError, match=f"player: /x: the type {kind} is not installed here"
+    ):
         class_of(Topic("/x", kind, "", ""))
 
 
@@ -158,7 +192,12 @@ STEPS = st.one_of(
 )
 
 
-@given(rate=RATES, start=SECONDS, story=st.lists(st.tuples(SECONDS, STEPS), max_size=20), due=SECONDS)
+@given(
+    rate=RATES,
+    start=SECONDS,
+    story=st.lists(st.tuples(SECONDS, STEPS), max_size=20),
+    due=SECONDS,
+)
 def test_recorded_time_passes_at_its_rate_unless_paused(
     rate: float, start: float, story: list[tuple[float, tuple[str, float]]], due: float
 ) -> None:

@@ -31,7 +31,14 @@ from twinmatch_msgs.msg import LoopSample, ModelScore, PwmApplied, PwmCommand
 
 pytestmark = pytest.mark.ros
 
-PATIENT = ["-p", "timeout:=0.5", "-p", "command_timeout:=3.0", "-p", "temperature_timeout:=8.0"]
+PATIENT = [
+    "-p",
+    "timeout:=0.5",
+    "-p",
+    "command_timeout:=3.0",
+    "-p",
+    "temperature_timeout:=8.0",
+]
 """For tests that are not about time, on a busy machine."""
 QUIET = [*PATIENT, *UNWATCHED]
 UNLIMITED = ["-p", "observer.margin:=150.0"]
@@ -63,10 +70,14 @@ class Rig(HeaterRig):
     def __init__(self, listener: Listener) -> None:
         super().__init__(listener, "pwm_bridge")
         node = listener.node
-        self.applied = listener.hear(PwmApplied, "plant/pwm_applied", QoSProfile(depth=100))
+        self.applied = listener.hear(
+            PwmApplied, "plant/pwm_applied", QoSProfile(depth=100)
+        )
         assert not listener.health
         self._commands = node.create_publisher(PwmCommand, "plant/pwm_command", 10)
-        self._temperatures = node.create_publisher(Temperature, "plant/temperature", qos_profile_sensor_data)
+        self._temperatures = node.create_publisher(
+            Temperature, "plant/temperature", qos_profile_sensor_data
+        )
         self._samples = node.create_publisher(LoopSample, "plant/sample", 100)
         self.pwm: float | None = None
         self.celsius: float | None = 25.0
@@ -78,7 +89,9 @@ class Rig(HeaterRig):
 
     def drive(self, pwm: float, board: Any) -> None:
         self.pwm = pwm
-        self.until(lambda: board.drive().pwm == pytest.approx(pwm, abs=0.16), f"PWM {pwm}")
+        self.until(
+            lambda: board.drive().pwm == pytest.approx(pwm, abs=0.16), f"PWM {pwm}"
+        )
 
     def wait_for_fault(self, kind: str, board: Any) -> None:
         """Until the bridge tells the fault and the board is at zero."""
@@ -110,8 +123,16 @@ class Rig(HeaterRig):
             temperature = Temperature(temperature=float(self.celsius))
             temperature.header.stamp = stamp(plant_time - round(self.age * 1e9))
             self._temperatures.publish(temperature)
-        if self.reference is not None and self.celsius is not None and self.pwm is not None:
-            loop = {"reference": [self.reference], "output": [self.celsius], "input": [self.pwm]}
+        if (
+            self.reference is not None
+            and self.celsius is not None
+            and self.pwm is not None
+        ):
+            loop = {
+                "reference": [self.reference],
+                "output": [self.celsius],
+                "input": [self.pwm],
+            }
             self._samples.publish(LoopSample(index=next(self._indices), **loop))
 
 
@@ -134,7 +155,9 @@ def test_commands_reach_the_pins_and_what_was_applied_is_reported(
     assert (rig.applied[0].pwm, rig.applied[0].fault) == (0.0, "")
     rig.drive(120.0, any_board)
     any_board.set_current(2.5)
-    rig.until(lambda: rig.applied[-1].current == pytest.approx(2.5, abs=0.02), "the current")
+    rig.until(
+        lambda: rig.applied[-1].current == pytest.approx(2.5, abs=0.02), "the current"
+    )
     last = rig.applied[-1]
     assert (last.pwm, last.sequence, last.flags) == (120.0, 7, Flags.ENABLED)
     assert last.header.frame_id == "driver"
@@ -143,7 +166,8 @@ def test_commands_reach_the_pins_and_what_was_applied_is_reported(
     assert sockets_elsewhere(bridge.id) == []
     any_board.run(SLOW)
     assert bridge.end() == 0  # SIGTERM
-    assert any_board.drive()[1:] == (0.0, True)  # an acknowledged zero, before the board's own deadline
+    # an acknowledged zero, before the board's own deadline
+    assert any_board.drive()[1:] == (0.0, True)
 
 
 def test_a_killed_bridge_costs_at_most_the_boards_deadline(
@@ -161,7 +185,9 @@ def test_a_killed_bridge_costs_at_most_the_boards_deadline(
     assert after.time - before.time == pytest.approx(1.05, abs=0.005)
 
 
-def test_a_frozen_bridge_lets_go_and_stays_off(start_process: Start, rig: Rig, any_board: Any) -> None:
+def test_a_frozen_bridge_lets_go_and_stays_off(
+    start_process: Start, rig: Rig, any_board: Any
+) -> None:
     bridge = start_process("pwm_bridge", "-p", f"port:={any_board.port}", *QUIET)
     rig.drive(200.0, any_board)
     bridge.freeze()
@@ -172,7 +198,9 @@ def test_a_frozen_bridge_lets_go_and_stays_off(start_process: Start, rig: Rig, a
     assert rig.fault.split(":")[0] in {"board", "link", "command_silent"}
 
 
-def test_another_signal_ends_it_with_zero_too(start_process: Start, rig: Rig, board: StandIn) -> None:
+def test_another_signal_ends_it_with_zero_too(
+    start_process: Start, rig: Rig, board: StandIn
+) -> None:
     bridge = start_process("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(200.0, board)
     board.run(SLOW)
@@ -194,8 +222,16 @@ DOUBTS: tuple[tuple[str, str, float | None], ...] = (
 """Fault, and which input breaks to which value."""
 
 
-def test_doubt_is_zero_and_latches_until_cleared(start: Start, rig: Rig, board: StandIn) -> None:
-    limits = ["-p", "command_timeout:=2.0", "-p", "temperature_timeout:=3.0", *UNWATCHED]
+def test_doubt_is_zero_and_latches_until_cleared(
+    start: Start, rig: Rig, board: StandIn
+) -> None:
+    limits = [
+        "-p",
+        "command_timeout:=2.0",
+        "-p",
+        "temperature_timeout:=3.0",
+        *UNWATCHED,
+    ]
     start("pwm_bridge", "-p", f"port:={board.port}", *limits)
     for kind, name, value in DOUBTS:
         rig.drive(120.0, board)
@@ -213,8 +249,12 @@ def test_doubt_is_zero_and_latches_until_cleared(start: Start, rig: Rig, board: 
     assert rig.call("clear_fault").message == "there is no fault"
 
 
-@pytest.mark.parametrize(("reference", "pwm"), [(60.0, 255.0), (0.0, -255.0)], ids=["heating", "cooling"])
-def test_a_runaway_is_zero(start: Start, rig: Rig, board: StandIn, reference: float, pwm: float) -> None:
+@pytest.mark.parametrize(
+    ("reference", "pwm"), [(60.0, 255.0), (0.0, -255.0)], ids=["heating", "cooling"]
+)
+def test_a_runaway_is_zero(
+    start: Start, rig: Rig, board: StandIn, reference: float, pwm: float
+) -> None:
     limits = ["-p", "runaway.gain_time:=1.0", "-p", "runaway.patience:=20.0"]
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET, *limits)
     rig.drive(pwm, board)
@@ -223,7 +263,9 @@ def test_a_runaway_is_zero(start: Start, rig: Rig, board: StandIn, reference: fl
     rig.stays_at_zero(board)
 
 
-def test_a_sensor_that_does_not_see_the_heat_is_zero(start: Start, rig: Rig, board: StandIn) -> None:
+def test_a_sensor_that_does_not_see_the_heat_is_zero(
+    start: Start, rig: Rig, board: StandIn
+) -> None:
     """Any set-point or none: the drive alone says where the plate must be. Of a plant that is known better
     than usual, so that seconds of drive are enough."""
     limits = [*UNLIMITED, "-p", "observer.band:=3.0", "-p", "observer.spread:=0.05"]
@@ -243,17 +285,32 @@ def test_drive_that_no_reading_shows_is_limited_and_the_operator_lifts_that(
 ) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *PATIENT)
     rig.drive(255.0, board)
-    rig.until(lambda: rig.fault.startswith("limited: by its drive the plate is at "), "the limit")
+    rig.until(
+        lambda: rig.fault.startswith("limited: by its drive the plate is at "),
+        "the limit",
+    )
     rig.until(lambda: 0 < board.drive().pwm < 250, "less drive")
     rig.until(lambda: "limited: by its drive" in rig.warnings(), "the report")
     answer = rig.call("clear_fault")
     assert answer.success
     assert answer.message.startswith("cleared limited: ")
-    rig.until(lambda: not rig.fault and board.drive().pwm == pytest.approx(255, abs=0.16), "all drive")
+    rig.until(
+        lambda: not rig.fault and board.drive().pwm == pytest.approx(255, abs=0.16),
+        "all drive",
+    )
 
 
-def test_drive_that_the_readings_do_not_explain_is_zero(start: Start, rig: Rig, board: StandIn) -> None:
-    limits = ["-p", "observer.band:=150.0", "-p", "budget.least:=400.0", "-p", "budget.each:=0.0"]
+def test_drive_that_the_readings_do_not_explain_is_zero(
+    start: Start, rig: Rig, board: StandIn
+) -> None:
+    limits = [
+        "-p",
+        "observer.band:=150.0",
+        "-p",
+        "budget.least:=400.0",
+        "-p",
+        "budget.each:=0.0",
+    ]
     start("pwm_bridge", "-p", f"port:={board.port}", *PATIENT, *UNLIMITED, *limits)
     rig.drive(255.0, board)
     rig.wait_for_fault("budget", board)
@@ -280,11 +337,16 @@ def test_what_a_trusted_twin_says_against_drive_or_sensor_is_zero(
     say(TrustLevel.TRUSTED, 360)
     say(TrustLevel.FAULT, 370, fault="drive-lost", fault_since=365, reason="no effect")
     rig.wait_for_fault("twin", board)
-    assert rig.fault == "twin: the twin, trusted at sample 360, reports drive-lost: no effect"
+    assert (
+        rig.fault
+        == "twin: the twin, trusted at sample 360, reports drive-lost: no effect"
+    )
     rig.stays_at_zero(board)
 
 
-def test_stop_is_a_fault_that_is_asked_for(start: Start, rig: Rig, board: StandIn) -> None:
+def test_stop_is_a_fault_that_is_asked_for(
+    start: Start, rig: Rig, board: StandIn
+) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(120.0, board)
     assert rig.call("stop").success
@@ -375,7 +437,8 @@ def test_a_simulated_clock_that_jumps_back_extends_no_deadline(
     start("pwm_bridge", "-p", f"port:={board.port}", "-p", "use_sim_time:=true", *QUIET)
     rig.drive(120.0, board)
     rig.pwm = None  # the controller has fallen silent …
-    simulated.now -= 900.0  # … and the clock will not be back there for a quarter of an hour
+    # … and the clock will not be back there for a quarter of an hour
+    simulated.now -= 900.0
     rig.wait_for_fault("command_silent", board)
     rig.stays_at_zero(board)
     assert simulated.now < 200.0
@@ -392,7 +455,9 @@ def test_without_a_clock_nothing_is_driven_and_the_diagnostics_say_why(
     assert rig.fault == ""
 
 
-def test_no_samples_no_runaway_watch_and_that_is_said(start: Start, rig: Rig, board: StandIn) -> None:
+def test_no_samples_no_runaway_watch_and_that_is_said(
+    start: Start, rig: Rig, board: StandIn
+) -> None:
     start("pwm_bridge", "-p", f"port:={board.port}", *QUIET)
     rig.drive(50.0, board)
     rig.until(lambda: "runaway is not monitored" in rig.warnings(), "the warning")
@@ -401,7 +466,8 @@ def test_no_samples_no_runaway_watch_and_that_is_said(start: Start, rig: Rig, bo
 
 
 @pytest.mark.parametrize(
-    ("topic", "kind"), [("plant/pwm_command", PwmCommand), ("plant/temperature", Temperature)]
+    ("topic", "kind"),
+    [("plant/pwm_command", PwmCommand), ("plant/temperature", Temperature)],
 )
 def test_a_second_publisher_of_what_decides_about_heat_is_named_and_latches(
     start: Start, rig: Rig, board: StandIn, topic: str, kind: Any
@@ -411,7 +477,9 @@ def test_a_second_publisher_of_what_decides_about_heat_is_named_and_latches(
     rig.drive(50.0, board)
     second_publisher = rig.listener.node.create_publisher(kind, topic, 10)
     rig.wait_for_fault("senders", board)
-    assert f"/{topic} is published by listener and listener; end all but one" in rig.fault
+    assert (
+        f"/{topic} is published by listener and listener; end all but one" in rig.fault
+    )
     assert rig.call("clear_fault").success
     rig.stays_at_zero(board)
     assert rig.fault == ""  # nothing was driven when it was cleared

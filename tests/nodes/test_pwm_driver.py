@@ -41,7 +41,8 @@ class Bench:
         self.reports: list[tuple[Applied | None, int]] = []
         self.health = NodeHealth()
         self.gate = OutputGate(
-            self._clocks, [OutputGuard(GuardLimits(command_timeout=3.0, temperature_timeout=10.0))]
+            self._clocks,
+            [OutputGuard(GuardLimits(command_timeout=3.0, temperature_timeout=10.0))],
         )
         self.link = PwmLink(board.port, link)
         settings = DriverPace(first_pause=0.02, longest_pause=0.1)
@@ -120,11 +121,14 @@ def stand_in() -> Iterator[Bench]:
 def test_a_command_is_repeated_and_its_effect_reported(bench: Bench) -> None:
     bench.until(lambda: bench.reports)
     assert bench.reports[0][0] is not None
-    assert bench.reports[0][0].flags == Flags.NONE  # a fresh board was cleared, and is not driven
+    # a fresh board was cleared, and is not driven
+    assert bench.reports[0][0].flags == Flags.NONE
     bench.drive(120.0)
     count_before = len(bench.reports)
     deadline = time.monotonic() + 1.1 * DEADLINE
-    bench.until(lambda: len(bench.reports) > count_before + 15 and time.monotonic() > deadline)
+    bench.until(
+        lambda: len(bench.reports) > count_before + 15 and time.monotonic() > deadline
+    )
     assert bench.gate.fault is None
     applied, sample = bench.reports[-1]
     assert applied is not None
@@ -132,12 +136,15 @@ def test_a_command_is_repeated_and_its_effect_reported(bench: Bench) -> None:
     bench.drive(-80.0)
 
 
-def test_silence_is_zero_first_and_then_off_and_a_new_command_wakes_it(bench: Bench) -> None:
+def test_silence_is_zero_first_and_then_off_and_a_new_command_wakes_it(
+    bench: Bench,
+) -> None:
     bench.drive(120.0)
     bench.pwm = None
     bench.until(lambda: bench.kind() is FaultKind.COMMAND_SILENT)
     bench.until(lambda: bench.board.drive().pwm == 0)
-    bench.until(lambda: not bench.board.drive().enabled)  # its deadline is not fed any longer
+    # its deadline is not fed any longer
+    bench.until(lambda: not bench.board.drive().enabled)
     bench.stays_at_zero()
     bench.clear()
     bench.drive(60.0)
@@ -182,7 +189,8 @@ def test_the_end_is_an_acknowledged_zero(bench: Bench) -> None:
     assert bench.driver.close(30.0)
     applied, _ = bench.reports[-1]
     assert applied is not None
-    assert (applied.pwm, applied.flags) == (0, Flags.ENABLED)  # it was commanded, its deadline had not passed
+    # it was commanded, its deadline had not passed
+    assert (applied.pwm, applied.flags) == (0, Flags.ENABLED)
     assert not bench.link.is_open
     assert bench.driver.failure is None
 
@@ -210,7 +218,13 @@ def test_noise_on_the_line_is_borne(stand_in: Bench) -> None:
     """Half frames, foreign frames and binary, towards us and towards the board."""
     stand_in.drive(120.0)
     descriptor = os.open(stand_in.board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    noise = [b":S 1 2 3*0000\n", b"\xff\x00garbage\n", b":S 65535 0 255 0 1*", b"\n\n::", b":E - CRC*12\n"]
+    noise = [
+        b":S 1 2 3*0000\n",
+        b"\xff\x00garbage\n",
+        b":S 65535 0 255 0 1*",
+        b"\n\n::",
+        b":E - CRC*12\n",
+    ]
     try:
         count_before = len(stand_in.reports)
         for number in range(40):
@@ -222,9 +236,11 @@ def test_noise_on_the_line_is_borne(stand_in: Bench) -> None:
     stand_in.until(lambda: len(stand_in.reports) > count_before + 5)
     if stand_in.gate.fault is None:
         assert all(
-            applied is not None and applied.pwm == 120 for applied, _ in stand_in.reports[count_before:]
+            applied is not None and applied.pwm == 120
+            for applied, _ in stand_in.reports[count_before:]
         )
-    else:  # a request may be unlucky three times; then it is a lost link, and nothing else
+    else:
+        # a request may be unlucky three times; then it is a lost link, and nothing else
         assert stand_in.kind() is FaultKind.LINK
 
 
@@ -253,12 +269,16 @@ def test_a_board_that_ended_high_drive_is_not_cleared_by_itself_and_ends_it_agai
     board.run(SLOWLY)
     with PwmLink(board.port, PATIENT) as link:
         link.clear()
-        with pytest.raises(PwmLatchedError, match="drove high for longer than a plant needs"):
+        with pytest.raises(
+            PwmLatchedError, match="drove high for longer than a plant needs"
+        ):
             wait_for(lambda: not link.command(255.0), "the board's trip")
     with closing(Bench(board).start()) as bench:
         bench.pwm = 255.0
         bench.until(lambda: bench.kind() is FaultKind.BOARD)
-        assert "high drive for longer than a plant needs; check sensor" in str(bench.gate.fault)
+        assert "high drive for longer than a plant needs; check sensor" in str(
+            bench.gate.fault
+        )
         bench.stays_at_zero()
 
         def drives() -> bool:
@@ -279,7 +299,9 @@ def test_a_board_that_does_something_else_than_it_was_sent_is_a_fault(
 
     def half_of_the_command(pwm: float) -> Applied:
         applied = command(pwm)
-        return Applied(applied.pwm // 2, applied.current, applied.flags, applied.device_time)
+        return Applied(
+            applied.pwm // 2, applied.current, applied.flags, applied.device_time
+        )
 
     monkeypatch.setattr(stand_in.link, "command", half_of_the_command)
     stand_in.until(lambda: stand_in.kind() is FaultKind.BOARD)
@@ -316,4 +338,7 @@ def test_answers_slower_than_the_deadline_allows_are_warned_of() -> None:
     board.run(SLOWLY)
     with closing(Bench(board, LinkSettings(timeout=0.4, retries=2)).start()) as bench:
         bench.until(lambda: bench.health.report().level is Level.WARN)
-        assert "an answer may take 1.3 s, but the board's deadline is 1 s" in bench.health.report().message
+        assert (
+            "an answer may take 1.3 s, but the board's deadline is 1 s"
+            in bench.health.report().message
+        )

@@ -63,10 +63,14 @@ class Rig:
 
     def wait_for_reader(self) -> None:
         publishers = (self.samples, self.temperatures, self.references, self.images)
-        self.listener.spin_until(lambda: all(p.get_subscription_count() for p in publishers), "the recorder")
+        self.listener.spin_until(
+            lambda: all(p.get_subscription_count() for p in publishers), "the recorder"
+        )
 
     def sample(self, index: int) -> LoopSample:
-        message = sample_message(Sample(index, 10**18 + index * 10**9, 30.0, 25.0 + 1e-9 * index, -3.5))
+        message = sample_message(
+            Sample(index, 10**18 + index * 10**9, 30.0, 25.0 + 1e-9 * index, -3.5)
+        )
         self.samples.publish(message)
         return message
 
@@ -88,10 +92,14 @@ def record(start: Start, tmp_path: Path) -> Start:
 
 def messages_of(session: Session, topic: str, kind: Any) -> list[Any]:
     """The messages of a topic; their bytes differ from others of the same content in the padding."""
-    return [deserialize_message(message.data, kind) for message in session.messages([topic])]
+    return [
+        deserialize_message(message.data, kind) for message in session.messages([topic])
+    ]
 
 
-def test_everything_is_recorded_as_it_was_sent(record: Start, rig: Rig, tmp_path: Path) -> None:
+def test_everything_is_recorded_as_it_was_sent(
+    record: Start, rig: Rig, tmp_path: Path
+) -> None:
     """At twenty times the rates of the rig and more: 200 samples, images and temperatures a second."""
     rig.references.publish(Float64(data=40.0))
     process = record()
@@ -102,26 +110,37 @@ def test_everything_is_recorded_as_it_was_sent(record: Start, rig: Rig, tmp_path
         temperature = Temperature(temperature=25.0 + k)
         rig.temperatures.publish(temperature)
         sent["temperature"].append(temperature)
-        image = Image(height=60, width=80, encoding="mono16", step=160, data=os.urandom(9600))
+        image = Image(
+            height=60, width=80, encoding="mono16", step=160, data=os.urandom(9600)
+        )
         rig.images.publish(image)
         sent["image_raw"].append(image)
         time.sleep(0.005)
     late = rig.listener.node.create_publisher(String, "notes", 10)
-    rig.listener.spin_until(late.get_subscription_count, "the recorder at the new topic")
+    rig.listener.spin_until(
+        late.get_subscription_count, "the recorder at the new topic"
+    )
     late.publish(String(data="seen"))
-    counts = dict.fromkeys(("plant__sample", "plant__temperature", "thermal__image_raw"), 300)
+    counts = dict.fromkeys(
+        ("plant__sample", "plant__temperature", "thermal__image_raw"), 300
+    )
     wait_for_recorded(tmp_path / "run", notes=1, **counts)
     assert process.end() == 0
     session = read_session(tmp_path / "run")
     assert session.notes == []
     assert messages_of(session, "/plant/sample", LoopSample) == sent["sample"]
-    assert messages_of(session, "/plant/temperature", Temperature) == sent["temperature"]
+    assert (
+        messages_of(session, "/plant/temperature", Temperature) == sent["temperature"]
+    )
     assert messages_of(session, "/thermal/image_raw", Image) == sent["image_raw"]
     assert messages_of(session, "/plant/reference", Float64) == [Float64(data=40.0)]
     assert messages_of(session, "/notes", String) == [String(data="seen")]
     with Reader(tmp_path / "run") as reader:
         assert reader.message_count == sum(session.counts.values())
-    qos = {topic.name: (topic.qos.reliability, topic.qos.durability) for topic in session.topics}
+    qos = {
+        topic.name: (topic.qos.reliability, topic.qos.durability)
+        for topic in session.topics
+    }
     assert qos["/plant/temperature"] == ("best_effort", "volatile")
     assert qos["/plant/reference"] == ("reliable", "transient_local")
     (sample,) = [topic for topic in session.topics if topic.name == "/plant/sample"]
@@ -144,7 +163,9 @@ def test_what_only_ros_can_read_is_recorded_so_that_others_can(
     process = record()
     rig.wait_for_reader()
     sent = rig.sample(0)
-    next_one = serialize_message(sample_message(Sample(1, 10**18 + 10**9, 30.0, 25.0, 0.0)))
+    next_one = serialize_message(
+        sample_message(Sample(1, 10**18 + 10**9, 30.0, 25.0, 0.0))
+    )
     rig.samples.publish(spoil(bytes(next_one)))
     wait_for_recorded(tmp_path / "run", plant__sample=2)
     assert process.end() == 0
@@ -164,7 +185,11 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("soon")
 @pytest.mark.parametrize(
     ("name", "doubted"),
-    [("passer_by", "listener and passer_by"), ("listener", ""), ("", "a node that is gone")],
+    [
+        ("passer_by", "listener and passer_by"),
+        ("listener", ""),
+        ("", "a node that is gone"),
+    ],
 )
 def test_samples_that_somebody_else_may_have_published_are_doubted(
     record: Start, rig: Rig, tmp_path: Path, name: str, doubted: str
@@ -176,7 +201,10 @@ def test_samples_that_somebody_else_may_have_published_are_doubted(
     sent = 0
 
     def publishers() -> list[str]:
-        return sorted(info.node_name for info in node.get_publishers_info_by_topic("/plant/sample"))
+        return sorted(
+            info.node_name
+            for info in node.get_publishers_info_by_topic("/plant/sample")
+        )
 
     def send(number: int) -> None:
         nonlocal sent
@@ -194,7 +222,9 @@ def test_samples_that_somebody_else_may_have_published_are_doubted(
         rig.listener.spin_until(lambda: publishers() == both, "its name")
         send(3)
     foreign_node.destroy_node()
-    rig.listener.spin_until(lambda: node.count_publishers("/plant/sample") == 1, "its end")
+    rig.listener.spin_until(
+        lambda: node.count_publishers("/plant/sample") == 1, "its end"
+    )
     send(5)
     assert process.end() == 0
     notes = [note for note in read_session(tmp_path / "run").notes if "doubted" in note]
@@ -202,7 +232,10 @@ def test_samples_that_somebody_else_may_have_published_are_doubted(
         assert notes == []
         return
     (note,) = notes
-    doubt = re.match(r"samples 4 to (\d+) are doubted: /plant/sample was published by (.+), and a twin", note)
+    doubt = re.match(
+        r"samples 4 to (\d+) are doubted: /plant/sample was published by (.+), and a twin",
+        note,
+    )
     assert doubt, note
     assert 4 <= int(doubt[1]) <= sent - 1
     assert doubted in doubt[2]
@@ -239,7 +272,9 @@ def test_names_of_other_rigs_and_what_is_left_out_are_not_recorded(
 ) -> None:
     mine = Rig(listener, "/one/")
     other_rig = Rig(listener, "/two/")
-    process = record("-r", "__ns:=/one", "-p", "leave_out:=[thermal/]", "-p", "also:=[/weather]")
+    process = record(
+        "-r", "__ns:=/one", "-p", "leave_out:=[thermal/]", "-p", "also:=[/weather]"
+    )
     weather = listener.node.create_publisher(Float64, "/weather", 10)
     listener.spin_until(mine.samples.get_subscription_count, "the recorder")
     listener.spin_until(weather.get_subscription_count, "the recorder")
@@ -253,7 +288,9 @@ def test_names_of_other_rigs_and_what_is_left_out_are_not_recorded(
     session = read_session(tmp_path / "run")
     assert session.topic == "/one/plant/sample"
     assert {"/weather", "/one/plant/temperature"} < set(session.counts)
-    assert not {"/clock", "/rosout", "/diagnostics", "/one/thermal/image_raw"} & set(session.counts)
+    assert not {"/clock", "/rosout", "/diagnostics", "/one/thermal/image_raw"} & set(
+        session.counts
+    )
 
 
 def test_a_publisher_that_offers_less_is_received_too(
@@ -266,8 +303,11 @@ def test_a_publisher_that_offers_less_is_received_too(
     listener.spin_until(first.get_subscription_count, "the recorder")
     first.publish(Float64(data=1.0))
     wait_for_recorded(tmp_path / "run", extra=1)
-    quiet = PublisherEventCallbacks(use_default_callbacks=False)  # at first the recorder asks for more
-    second = listener.node.create_publisher(Float64, "extra", SENSOR, event_callbacks=quiet)
+    # at first the recorder asks for more
+    quiet = PublisherEventCallbacks(use_default_callbacks=False)
+    second = listener.node.create_publisher(
+        Float64, "extra", SENSOR, event_callbacks=quiet
+    )
     listener.spin_until(second.get_subscription_count, "the recorder")
     second.publish(Float64(data=2.0))
     wait_for_recorded(tmp_path / "run", extra=2, plant__sample=1)
@@ -280,7 +320,9 @@ def test_parameters_of_the_nodes_are_in_the_session(
     record: Start, start: Start, rig: Rig, tmp_path: Path
 ) -> None:
     family = tmp_path / "family.yaml"
-    family.write_text("candidates:\n  - {name: a, operating_point: 40.0, seebeck: 0.08}\n")
+    family.write_text(
+        "candidates:\n  - {name: a, operating_point: 40.0, seebeck: 0.08}\n"
+    )
     process = record()
     start("matcher", "-p", "seed:=7")
     start("discriminator", "-p", "seed:=7", "-p", f"candidates:={family}")
@@ -319,7 +361,10 @@ def test_a_node_that_was_killed_before_it_answered_is_asked_again(
     def seed() -> object:
         session = written(tmp_path / "run")
         records = {} if session is None else session.records
-        return "twinmatch/parameters/matcher" in records and parameters_of(records, "/matcher")["seed"]
+        return (
+            "twinmatch/parameters/matcher" in records
+            and parameters_of(records, "/matcher")["seed"]
+        )
 
     rig.sample(0)
     rig.listener.spin_until(lambda: seed() == 7, "the parameters of the other matcher")
@@ -359,14 +404,19 @@ def test_without_room_or_beside_a_session_it_does_not_start(
 def test_a_folder_that_cannot_be_written_is_named(start: Start, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("here")
     with small_disk(tmp_path / "fixed", 1000, read_only=True) as fixed:
-        for folder, why in ((tmp_path / "file", "Not a directory"), (fixed, "Read-only file system")):
+        for folder, why in (
+            (tmp_path / "file", "Not a directory"),
+            (fixed, "Read-only file system"),
+        ):
             process = start("recorder", *into(folder)[:-1], "min_free_mb:=0.0")
             assert process.wait() == EXIT_DISK
             assert f"{folder} cannot be written ({why})" in process.text
             assert "Traceback" not in process.text
 
 
-def test_a_disk_that_is_full_at_the_start_is_named(start: Start, tmp_path: Path) -> None:
+def test_a_disk_that_is_full_at_the_start_is_named(
+    start: Start, tmp_path: Path
+) -> None:
     with small_disk(tmp_path / "full", 100) as full:
         (full / "others").write_bytes(bytes(100 * 1024))
         process = start("recorder", *into(full)[:-1], "min_free_mb:=0.0")
@@ -374,11 +424,15 @@ def test_a_disk_that_is_full_at_the_start_is_named(start: Start, tmp_path: Path)
         assert f"no space left in {full}" in process.text
 
 
-def test_what_a_small_disk_has_room_for_can_be_read(start: Start, rig: Rig, tmp_path: Path) -> None:
+def test_what_a_small_disk_has_room_for_can_be_read(
+    start: Start, rig: Rig, tmp_path: Path
+) -> None:
     with small_disk(tmp_path / "small", 400) as small:
         process = start("recorder", *into(small)[:-1], "min_free_mb:=0.0")
         rig.wait_for_reader()
-        image = Image(height=60, width=80, encoding="mono16", step=160, data=bytes(9600))
+        image = Image(
+            height=60, width=80, encoding="mono16", step=160, data=bytes(9600)
+        )
         numbers = itertools.count()
 
         def publish() -> None:
@@ -386,7 +440,11 @@ def test_what_a_small_disk_has_room_for_can_be_read(start: Start, rig: Rig, tmp_
             rig.sample(next(numbers))
             time.sleep(0.02)
 
-        wait_for(lambda: not process.running, lambda: f"its end: {process.text}", meanwhile=publish)
+        wait_for(
+            lambda: not process.running,
+            lambda: f"its end: {process.text}",
+            meanwhile=publish,
+        )
         assert process.wait() == EXIT_DISK
         assert f"no space left in {small} after" in process.text
         samples = read_session(small / "run").samples
@@ -394,7 +452,9 @@ def test_what_a_small_disk_has_room_for_can_be_read(start: Start, rig: Rig, tmp_
     assert [sample.index for sample in samples] == list(range(len(samples)))
 
 
-def test_a_full_disk_ends_it_with_one_line(start_script: Start, rig: Rig, tmp_path: Path) -> None:
+def test_a_full_disk_ends_it_with_one_line(
+    start_script: Start, rig: Rig, tmp_path: Path
+) -> None:
     """A limit on the size of files stands for the disk; the session is readable up to there."""
     process = start_script(f"""
 import resource, sys
@@ -414,7 +474,11 @@ main()
         k += 1
         time.sleep(0.02)
 
-    wait_for(lambda: not process.running, lambda: f"its end: {process.text}", meanwhile=publish)
+    wait_for(
+        lambda: not process.running,
+        lambda: f"its end: {process.text}",
+        meanwhile=publish,
+    )
     assert process.wait() == EXIT_DISK
     assert "free some disk space or choose another folder" in process.text
     assert "Traceback" not in process.text
@@ -454,7 +518,9 @@ def test_rates_and_silence_are_on_diagnostics(record: Start, rig: Rig) -> None:
         rig.sample(k)
         time.sleep(0.05)
     sent = 40 / (time.monotonic() - begun)
-    rig.listener.spin_until(lambda: rig.listener.said("silent: /plant/sample"), "the warning")
+    rig.listener.spin_until(
+        lambda: rig.listener.said("silent: /plant/sample"), "the warning"
+    )
     rate, unit, count, _ = rig.listener.values("/plant/sample")[-1].split()
     assert (unit, count) == ("Hz,", "40")
     assert sent / 3 < float(rate) < 3 * sent  # as received, on whatever machine
@@ -465,14 +531,17 @@ def test_a_type_that_is_not_installed_is_named(
 ) -> None:
     def some(kind: str) -> str:
         if kind == "std_msgs/msg/String":
-            raise SessionError("session: the definition of std_msgs/msg/String is not installed")
+            raise SessionError(
+                "session: the definition of std_msgs/msg/String is not installed"
+            )
         return schema_of(kind)
 
     monkeypatch.setattr(recorder, "schema_of", some)
     record()
     rig.listener.node.create_publisher(String, "notes", 10)
     rig.listener.spin_until(
-        lambda: rig.listener.said("/notes is not recorded: session: the definition"), "the warning"
+        lambda: rig.listener.said("/notes is not recorded: session: the definition"),
+        "the warning",
     )
     rig.wait_for_reader()
 
@@ -523,8 +592,12 @@ def endpoint(*, reliable: bool = True, latched: bool = False, depth: int = 10) -
     return SimpleNamespace(
         qos_profile=SimpleNamespace(
             depth=depth,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+            reliability=ReliabilityPolicy.RELIABLE
+            if reliable
+            else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL
+            if latched
+            else DurabilityPolicy.VOLATILE,
         )
     )
 
@@ -542,7 +615,8 @@ def endpoint(*, reliable: bool = True, latched: bool = False, depth: int = 10) -
 def test_the_weakest_offer_is_taken(endpoints: list[Any], qos: Qos) -> None:
     assert offered(endpoints) == qos
     profile = profile_of(qos)
-    for offering in endpoints:  # a reader that asks for more than is offered receives nothing
+    for offering in endpoints:
+        # a reader that asks for more than is offered receives nothing
         assert profile.reliability == ReliabilityPolicy.BEST_EFFORT or (
             offering.qos_profile.reliability == ReliabilityPolicy.RELIABLE
         )

@@ -53,7 +53,9 @@ sys.modules["rclpy.experimental.events_executor"] = None  # as before rclpy 7.1.
 
 def test_nodes_run_without_the_events_executor(start_script: Start) -> None:
     process = start_script(
-        WITHOUT_EVENTS + program(before="print(runner.EventsExecutor.__name__, flush=True)"), cold=True
+        WITHOUT_EVENTS
+        + program(before="print(runner.EventsExecutor.__name__, flush=True)"),
+        cold=True,
     )
     process.said("^SingleThreadedExecutor$")
     process.said("^up$")
@@ -62,11 +64,16 @@ def test_nodes_run_without_the_events_executor(start_script: Start) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_signal_ends_with_zero_and_leaves_nothing(start_script: Start, number: signal.Signals) -> None:
-    foreign_files = set(Path("/dev/shm").glob("fastrtps_*"))  # of other programs that it may meet
+def test_signal_ends_with_zero_and_leaves_nothing(
+    start_script: Start, number: signal.Signals
+) -> None:
+    # of other programs that it may meet
+    foreign_files = set(Path("/dev/shm").glob("fastrtps_*"))
     process = start_script(program())
     process.said("^up$")
-    files = [name for name in shared_memory(process.id) if Path(name) not in foreign_files]
+    files = [
+        name for name in shared_memory(process.id) if Path(name) not in foreign_files
+    ]
     assert files
     assert sockets_elsewhere(process.id) == []
     assert process.end(number) == 0
@@ -80,8 +87,12 @@ def test_without_a_home_nothing_is_left_in_the_temporary_folder(
     temporary = tmp_path / "temporary"
     temporary.mkdir()
     without = {"HOME", "ROS_LOG_DIR", "ROS_HOME"}
-    environment = {name: value for name, value in os.environ.items() if name not in without}
-    process = start_script(program(), environment={**environment, "TMPDIR": str(temporary)})
+    environment = {
+        name: value for name, value in os.environ.items() if name not in without
+    }
+    process = start_script(
+        program(), environment={**environment, "TMPDIR": str(temporary)}
+    )
     process.said("^up$")
     if how == "killed":
         process.kill()
@@ -90,11 +101,15 @@ def test_without_a_home_nothing_is_left_in_the_temporary_folder(
     assert not list(temporary.iterdir())
 
 
-def test_a_part_that_fails_at_the_end_is_reported_and_the_rest_ends(start_script: Start) -> None:
+def test_a_part_that_fails_at_the_end_is_reported_and_the_rest_ends(
+    start_script: Start,
+) -> None:
     foreign_files = set(Path("/dev/shm").glob("fastrtps_*"))
     process = start_script(program(closing="1 / 0"))
     process.said("^up$")
-    files = [name for name in shared_memory(process.id) if Path(name) not in foreign_files]
+    files = [
+        name for name in shared_memory(process.id) if Path(name) not in foreign_files
+    ]
     assert process.end() == 1
     assert "ZeroDivisionError" in process.text
     assert not [name for name in files if Path(name).exists()]
@@ -109,16 +124,23 @@ def test_threads_end_before_the_executor_then_nodes_then_the_context() -> None:
         NAME = "telling"
 
         def close(self) -> bool:
-            order.append(f"threads, executor {nodes._executor is not None}, context {context.ok()}")
+            order.append(
+                f"threads, executor {nodes._executor is not None}, context {context.ok()}"
+            )
             return super().close()
 
         def destroy_node(self) -> None:
-            order.append(f"node, executor {nodes._executor is not None}, context {context.ok()}")
+            order.append(
+                f"node, executor {nodes._executor is not None}, context {context.ok()}"
+            )
             super().destroy_node()
 
     nodes.start([Telling], ["program"])
     assert nodes.close()
-    assert order == ["threads, executor True, context True", "node, executor False, context True"]
+    assert order == [
+        "threads, executor True, context True",
+        "node, executor False, context True",
+    ]
     assert not context.ok()
 
 
@@ -153,7 +175,9 @@ def test_node_ends_its_process_with_its_code() -> None:
 
 
 @pytest.mark.parametrize("place", ["opening", "ticking"])
-def test_users_mistake_is_one_line(capfd: pytest.CaptureFixture[str], place: str) -> None:
+def test_users_mistake_is_one_line(
+    capfd: pytest.CaptureFixture[str], place: str
+) -> None:
     assert run_here(**{place: wrong}) == 2
     printed = capfd.readouterr().err
     assert "the rig is unplugged; plug it in" in printed.splitlines()
@@ -168,14 +192,18 @@ def test_our_mistake_keeps_its_traceback(capfd: pytest.CaptureFixture[str]) -> N
 
 
 def test_end_that_hangs_is_cut_short(start_script: Start) -> None:
-    process = start_script(program(closing="time.sleep(600)", before="runner.TEARDOWN = 1"))
+    process = start_script(
+        program(closing="time.sleep(600)", before="runner.TEARDOWN = 1")
+    )
     process.said("^up$")
     assert process.end() == -signal.SIGALRM
 
 
 def test_end_may_take_as_long_as_a_node_says(start_script: Start) -> None:
     process = start_script(
-        program(closing="time.sleep(1.5)", before="runner.TEARDOWN = 1; First.CLOSING = 20")
+        program(
+            closing="time.sleep(1.5)", before="runner.TEARDOWN = 1; First.CLOSING = 20"
+        )
     )
     process.said("^up$")
     assert process.end() == 0
@@ -213,26 +241,74 @@ REFUSED: tuple[tuple[str, str, str], ...] = (
     ("discriminator", "candidates:=/nowhere.yaml", "/nowhere.yaml: cannot be read"),
     ("twin_simulator", "schedule.span:=700 schedule.capacity:=600", "increasing order"),
     ("twin_simulator", "recent:=[]", "a parameter is empty"),
-    ("controller", "profile.levels:=[120.0] profile.holds:=[9.0]", "level 1 is 120 °C; give one in the safe"),
+    (
+        "controller",
+        "profile.levels:=[120.0] profile.holds:=[9.0]",
+        "level 1 is 120 °C; give one in the safe",
+    ),
     ("controller", "profile.levels:=[30.0]", "1 levels and 4 times are given"),
-    ("controller", "exit_at_end:=true", "with profile.repeat, exit_at_end would never take effect"),
+    (
+        "controller",
+        "exit_at_end:=true",
+        "with profile.repeat, exit_at_end would never take effect",
+    ),
     ("controller", "exit_at_end:=true reference_source:=topic", "a topic has no end"),
-    ("controller", "profile.lowest:=60.0 profile.highest:=50.0", "profile.lowest 60 must be below"),
-    ("controller", "reference_source:=moon", "reference_source is 'moon'; allowed: one of"),
+    (
+        "controller",
+        "profile.lowest:=60.0 profile.highest:=50.0",
+        "profile.lowest 60 must be below",
+    ),
+    (
+        "controller",
+        "reference_source:=moon",
+        "reference_source is 'moon'; allowed: one of",
+    ),
     ("controller", "pid.hihg:=3.0", "did you mean pid.high?"),
-    ("pwm_bridge", "lowest:=120.0 highest:=100.0", "lowest 120.0 °C must be below highest 100.0 °C"),
-    ("pwm_bridge", "command_timeout:=0.0", "parameter command_timeout is 0.0; allowed: s, 0.1 to 10"),
-    ("pwm_bridge", "prot:=/dev/ttyACM1", "there is no parameter prot; did you mean port?"),
+    (
+        "pwm_bridge",
+        "lowest:=120.0 highest:=100.0",
+        "lowest 120.0 °C must be below highest 100.0 °C",
+    ),
+    (
+        "pwm_bridge",
+        "command_timeout:=0.0",
+        "parameter command_timeout is 0.0; allowed: s, 0.1 to 10",
+    ),
+    (
+        "pwm_bridge",
+        "prot:=/dev/ttyACM1",
+        "there is no parameter prot; did you mean port?",
+    ),
     ("camera_bridge", "port:=0", "parameter port is 0; allowed: 1 to 65535"),
-    ("camera_bridge", "roi.width:=0", "parameter roi.width is 0; allowed: pixels, 1 to 1024"),
+    (
+        "camera_bridge",
+        "roi.width:=0",
+        "parameter roi.width is 0; allowed: pixels, 1 to 1024",
+    ),
     ("camera_bridge", "hots:=pi", "there is no parameter hots; did you mean host?"),
-    ("plant_clock", "", "clock address '': give HOST:PORT, as the virtual rig prints it"),
-    ("sampler", "source:=mqtt://127.0.0.1:1 map.output:=t map.input:=u", "no MQTT broker at 127.0.0.1:1"),
+    (
+        "plant_clock",
+        "",
+        "clock address '': give HOST:PORT, as the virtual rig prints it",
+    ),
+    (
+        "sampler",
+        "source:=mqtt://127.0.0.1:1 map.output:=t map.input:=u",
+        "no MQTT broker at 127.0.0.1:1",
+    ),
     ("player", "", "player: the session is missing; give"),
     ("player", "session:=/nowhere", "session /nowhere: does not exist"),
-    ("player", "session:=SESSION wait_timeout:=0.5", "player: /plant/sample has 0 of 1 subscribers"),
+    (
+        "player",
+        "session:=SESSION wait_timeout:=0.5",
+        "player: /plant/sample has 0 of 1 subscribers",
+    ),
     ("player", "session:=SESSION topics:=[thermal/]", "leave out plant/sample"),
-    ("player", "session:=SESSION rate:=-1.0", "player: parameter rate is -1.0; allowed: 0 to"),
+    (
+        "player",
+        "session:=SESSION rate:=-1.0",
+        "player: parameter rate is -1.0; allowed: 0 to",
+    ),
 )
 """Program, parameters, and what it says of them."""
 
@@ -293,7 +369,10 @@ def shared_memory(process: int) -> set[str]:
     names = set()
     for line in Path(f"/proc/{process}/maps").read_text().splitlines():
         name = line.split()[-1]
-        if name.startswith(("/dev/shm/fastdds_", "/dev/shm/fastrtps_")) and "_port" not in name:
+        if (
+            name.startswith(("/dev/shm/fastdds_", "/dev/shm/fastrtps_"))
+            and "_port" not in name
+        ):
             names.add(name)
     return names
 

@@ -24,7 +24,13 @@ from tests.support.processes import Process, Processes, no_plant_files
 from tests.support.ros import Inside, Listener
 from tests.support.waiting import PATIENCE
 from twinmatch.nodes.messages import sample_from
-from twinmatch.nodes.topics import EVERYTHING, NEWEST, MessageTypeError, fields_of, message_class
+from twinmatch.nodes.topics import (
+    EVERYTHING,
+    NEWEST,
+    MessageTypeError,
+    fields_of,
+    message_class,
+)
 from twinmatch.plants import find_plant
 from twinmatch.sampling.channels import Field
 from twinmatch.twin import Twin, TwinSettings
@@ -39,12 +45,16 @@ PAUSE = 3.0
 class Beside:
     """A rig, a sampler, and what is received of them."""
 
-    def __init__(self, processes: Processes, start: Any, listener: Listener, plant: Path) -> None:
+    def __init__(
+        self, processes: Processes, start: Any, listener: Listener, plant: Path
+    ) -> None:
         self.listener = listener
         self._processes = processes
         self._start = start
         self._plant = plant
-        self.samples: list[LoopSample] = listener.hear(LoopSample, "plant/sample", EVERYTHING)
+        self.samples: list[LoopSample] = listener.hear(
+            LoopSample, "plant/sample", EVERYTHING
+        )
         self.health = listener.health
 
     def rig(self, *options: str) -> Process:
@@ -52,11 +62,21 @@ class Beside:
 
     def sampler(self, **parameters: str) -> Inside:
         words = [f"plant:={self._plant}", f"period:={PERIOD}"]
-        words += [f"map.{name}:='{text}'" for name, text in MAP.items() if name not in parameters]
         words += [
-            f"{name.replace('__', '.')}:={text}" for name, text in parameters.items() if name not in MAP
+            f"map.{name}:='{text}'"
+            for name, text in MAP.items()
+            if name not in parameters
         ]
-        words += [f"map.{name}:='{text}'" for name, text in parameters.items() if name in MAP and text]
+        words += [
+            f"{name.replace('__', '.')}:={text}"
+            for name, text in parameters.items()
+            if name not in MAP
+        ]
+        words += [
+            f"map.{name}:='{text}'"
+            for name, text in parameters.items()
+            if name in MAP and text
+        ]
         options = [option for word in words for option in ("-p", word)]
         return self._start("sampler", *options)
 
@@ -67,7 +87,10 @@ class Beside:
     def wait_for_word(self, words: str) -> None:
         begun = len(self.health)
         self.listener.spin_until(
-            lambda: any(words in s.message for m in self.health[begun:] for s in m.status), self.said
+            lambda: any(
+                words in s.message for m in self.health[begun:] for s in m.status
+            ),
+            self.said,
         )
 
     def said(self) -> str:
@@ -75,7 +98,9 @@ class Beside:
 
     def stand(self, begun: float) -> None:
         """Until `PAUSE` has passed since then."""
-        self.listener.spin_until(lambda: time.monotonic() > begun + PAUSE, "the end of a pause")
+        self.listener.spin_until(
+            lambda: time.monotonic() > begun + PAUSE, "the end of a pause"
+        )
 
     @property
     def pauses(self) -> list[int]:
@@ -99,7 +124,9 @@ def numbers_of(messages: list[LoopSample]) -> list[tuple[float, float, float]]:
     return [(m.reference[0], m.output[0], m.input[0]) for m in messages]
 
 
-def test_each_tick_of_the_rig_is_a_sample_of_the_same_three_numbers(beside: Beside) -> None:
+def test_each_tick_of_the_rig_is_a_sample_of_the_same_three_numbers(
+    beside: Beside,
+) -> None:
     rig = beside.rig("--stamped")
     beside.sampler(output="/oven/temperature:temperature")
     beside.wait_for_samples(30)
@@ -107,21 +134,29 @@ def test_each_tick_of_the_rig_is_a_sample_of_the_same_three_numbers(beside: Besi
     pairs = numbers_of(beside.samples)
     # A busy machine may deliver one message late; never may the mass of them be of different ticks.
     assert sum(pair in rows_of_rig for pair in pairs) >= 0.95 * len(pairs)
-    stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in beside.samples]
+    stamps = [
+        m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in beside.samples
+    ]
     assert all(a < b for a, b in pairwise(stamps))
     publishers = beside.listener.node.get_publishers_info_by_topic("/oven/heater")
     assert [info.node_name for info in publishers] == ["oven_rig"]
 
 
 def passed_on(
-    beside: Beside, sampler: Inside, kinds: dict[str, Any], ticks: Iterator[list[tuple[str, Any]]]
+    beside: Beside,
+    sampler: Inside,
+    kinds: dict[str, Any],
+    ticks: Iterator[list[tuple[str, Any]]],
 ) -> None:
     """Publish what is sent at each tick by plant time, which passes once the tick was sampled.
 
     However long this machine takes, no message is late. `kinds` are the types of the topics.
     """
     listener = beside.listener
-    publishers = {topic: listener.node.create_publisher(kind, topic, 10) for topic, kind in kinds.items()}
+    publishers = {
+        topic: listener.node.create_publisher(kind, topic, 10)
+        for topic, kind in kinds.items()
+    }
     clock = listener.node.create_publisher(Clock, "/clock", NEWEST)
     node = sampler.nodes[0]
 
@@ -129,21 +164,27 @@ def passed_on(
         plant_time = Time(nanoseconds=round(1e9 * seconds))
         clock.publish(Clock(clock=plant_time.to_msg()))
         listener.spin_until(
-            lambda: node.get_clock().now().nanoseconds == plant_time.nanoseconds, "the plant time"
+            lambda: node.get_clock().now().nanoseconds == plant_time.nanoseconds,
+            "the plant time",
         )
 
     listener.spin_until(clock.get_subscription_count, "the reader of the clock")
     listener.spin_until(
-        lambda: all(p.get_subscription_count() for p in publishers.values()), "the readers of the rig"
+        lambda: all(p.get_subscription_count() for p in publishers.values()),
+        "the readers of the rig",
     )
-    listener.spin_until(lambda: listener.node.count_publishers("plant/sample"), "the sampler")
+    listener.spin_until(
+        lambda: listener.node.count_publishers("plant/sample"), "the sampler"
+    )
     for tick, sent in enumerate(ticks):
         pass_to(1000.0 + PERIOD * tick)
         for topic, message in sent:
             publishers[topic].publish(message)
             assert publishers[topic].wait_for_all_acked(Duration(seconds=PATIENCE))
         pass_to(1000.0 + PERIOD * (tick + 0.2))
-        listener.spin_until(lambda tick=tick: len(beside.samples) == tick + 1, beside.said)
+        listener.spin_until(
+            lambda tick=tick: len(beside.samples) == tick + 1, beside.said
+        )
 
 
 def in_step(beside: Beside, ticks: int) -> list[tuple[float, float, float]]:
@@ -152,10 +193,18 @@ def in_step(beside: Beside, ticks: int) -> list[tuple[float, float, float]]:
     rows_of_oven = [oven.step() for _ in range(ticks)]
 
     def messages_of(row: tuple[float, float, float]) -> list[tuple[str, Float64]]:
-        return [(topic, Float64(data=value)) for topic, value in zip(TOPICS, row, strict=True)]
+        return [
+            (topic, Float64(data=value))
+            for topic, value in zip(TOPICS, row, strict=True)
+        ]
 
     sent = map(messages_of, rows_of_oven)
-    passed_on(beside, beside.sampler(use_sim_time="true"), dict.fromkeys(TOPICS, Float64), sent)
+    passed_on(
+        beside,
+        beside.sampler(use_sim_time="true"),
+        dict.fromkeys(TOPICS, Float64),
+        sent,
+    )
     return rows_of_oven
 
 
@@ -164,30 +213,57 @@ def joints(**positions: float) -> JointState:
     return JointState(name=list(positions), position=values, effort=values)
 
 
-def test_joints_are_sampled_by_name_in_any_order_and_beside_other_publishers(beside: Beside) -> None:
+def test_joints_are_sampled_by_name_in_any_order_and_beside_other_publishers(
+    beside: Beside,
+) -> None:
     """By index, every other sample would be the gripper's."""
     sent = (
         [
             ("/joints", joints(gripper=-5.0)),
             (
                 "/joints",
-                joints(**dict(sorted({"elbow": 20.0 + k, "wrist": -7.0}.items(), reverse=k % 2 == 0))),
+                joints(
+                    **dict(
+                        sorted(
+                            {"elbow": 20.0 + k, "wrist": -7.0}.items(),
+                            reverse=k % 2 == 0,
+                        )
+                    )
+                ),
             ),
         ]
         for k in range(20)
     )
-    by_name = {"output": "/joints:position[elbow]", "input": "/joints:effort[elbow]", "reference": ""}
-    passed_on(beside, beside.sampler(**by_name, use_sim_time="true"), {"/joints": JointState}, sent)
+    by_name = {
+        "output": "/joints:position[elbow]",
+        "input": "/joints:effort[elbow]",
+        "reference": "",
+    }
+    passed_on(
+        beside,
+        beside.sampler(**by_name, use_sim_time="true"),
+        {"/joints": JointState},
+        sent,
+    )
     assert [(output, command) for _, output, command in numbers_of(beside.samples)] == [
         (20.0 + k, 20.0 + k) for k in range(20)
     ]
 
 
-def test_an_index_that_means_another_joint_is_reported_and_not_sampled(beside: Beside) -> None:
-    by_index = {"output": "/joints:position[0]", "input": "/joints:effort[0]", "reference": ""}
+def test_an_index_that_means_another_joint_is_reported_and_not_sampled(
+    beside: Beside,
+) -> None:
+    by_index = {
+        "output": "/joints:position[0]",
+        "input": "/joints:effort[0]",
+        "reference": "",
+    }
     sampler = beside.sampler(**by_index, use_sim_time="true")
     sent = (
-        [("/joints", joints(elbow=20.0 + k)), *([("/joints", joints(gripper=-5.0))] if k else [])]
+        [
+            ("/joints", joints(elbow=20.0 + k)),
+            *([("/joints", joints(gripper=-5.0))] if k else []),
+        ]
         for k in range(10)
     )
     passed_on(beside, sampler, {"/joints": JointState}, sent)
@@ -195,19 +271,30 @@ def test_an_index_that_means_another_joint_is_reported_and_not_sampled(beside: B
         "/joints:position[0] is elbow in one message and gripper in another; choose it by name: "
         "/joints:position[elbow]; other messages are left out"
     )
-    assert [output for _, output, _ in numbers_of(beside.samples)] == [20.0 + k for k in range(10)]
+    assert [output for _, output, _ in numbers_of(beside.samples)] == [
+        20.0 + k for k in range(10)
+    ]
 
 
-def test_an_index_that_means_another_joint_at_the_start_ends_the_sampler(beside: Beside) -> None:
+def test_an_index_that_means_another_joint_at_the_start_ends_the_sampler(
+    beside: Beside,
+) -> None:
     """Which of them is meant, only the user knows."""
-    by_index = {"output": "/joints:position[0]", "input": "/joints:effort[0]", "reference": ""}
+    by_index = {
+        "output": "/joints:position[0]",
+        "input": "/joints:effort[0]",
+        "reference": "",
+    }
     sampler = beside.sampler(**by_index)
     publisher = beside.listener.node.create_publisher(JointState, "/joints", 10)
     beside.listener.spin_until(publisher.get_subscription_count, "the sampler")
     for message in (joints(elbow=20.0), joints(gripper=-5.0)):
         publisher.publish(message)
     assert sampler.wait() == 2
-    assert "is elbow in one message and gripper in another; choose it by name" in sampler.text
+    assert (
+        "is elbow in one message and gripper in another; choose it by name"
+        in sampler.text
+    )
 
 
 BOTH = {
@@ -229,14 +316,19 @@ def sampler_of_both(start: Any, folder: Path, **changed: Any) -> Inside:
     return start("sampler", "--params-file", f"{file}")
 
 
-def test_two_loops_are_sampled_by_name_and_by_number(beside: Beside, start: Any, tmp_path: Path) -> None:
+def test_two_loops_are_sampled_by_name_and_by_number(
+    beside: Beside, start: Any, tmp_path: Path
+) -> None:
     kinds = {
         "/kit/one": Temperature,
         "/kit/two": Float64,
         "/kit/wanted": Point,
         "/kit/heaters": Float64MultiArray,
     }
-    rows = [((40.0, 50.0 + k), (20.0 + k, 31.0 - k), (5.0 * k, 100.0 - k)) for k in range(12)]
+    rows = [
+        ((40.0, 50.0 + k), (20.0 + k, 31.0 - k), (5.0 * k, 100.0 - k))
+        for k in range(12)
+    ]
     sent = (
         [
             ("/kit/wanted", Point(x=r[0], y=r[1])),
@@ -250,10 +342,14 @@ def test_two_loops_are_sampled_by_name_and_by_number(beside: Beside, start: Any,
     samples = [sample_from(message) for message in beside.samples]
     assert [s.index for s in samples] == list(range(12))
     assert [(s.references, s.inputs) for s in samples] == [(r, u) for r, _, u in rows]
-    assert [s.outputs for s in samples] == [pytest.approx(y, abs=1e-9) for _, y, _ in rows]
+    assert [s.outputs for s in samples] == [
+        pytest.approx(y, abs=1e-9) for _, y, _ in rows
+    ]
 
 
-def test_samples_of_a_rig_in_step_lead_to_its_own_numbers(beside: Beside, plant: Path) -> None:
+def test_samples_of_a_rig_in_step_lead_to_its_own_numbers(
+    beside: Beside, plant: Path
+) -> None:
     """0.5 W/% and 4 J/K, of a plant file that begins at 0.8 and 6."""
     ticks = in_step(beside, 3 * HOLD)
     assert numbers_of(beside.samples) == ticks
@@ -266,7 +362,9 @@ def test_samples_of_a_rig_in_step_lead_to_its_own_numbers(beside: Beside, plant:
     assert matches[-1].parameters["capacity"] == pytest.approx(CAPACITY, rel=0.02)
 
 
-def test_pause_end_and_restart_of_the_rig_are_reported_and_leave_gaps_of_their_length(beside: Beside) -> None:
+def test_pause_end_and_restart_of_the_rig_are_reported_and_leave_gaps_of_their_length(
+    beside: Beside,
+) -> None:
     rig = beside.rig()
     sampler = beside.sampler()
     beside.wait_for_samples(10)
@@ -296,7 +394,9 @@ def test_pause_end_and_restart_of_the_rig_are_reported_and_leave_gaps_of_their_l
     assert sum(pair in rows_of_rig for pair in pairs) >= 0.95 * len(pairs)
 
 
-def test_a_timer_takes_the_mean_of_the_input_and_the_newest_reading(beside: Beside) -> None:
+def test_a_timer_takes_the_mean_of_the_input_and_the_newest_reading(
+    beside: Beside,
+) -> None:
     """The sampler's own clock, at a period the rig does not have: no tick is one of the rig's."""
     rig = beside.rig()
     beside.sampler(paced_by="timer", period="0.13")
@@ -316,10 +416,14 @@ def test_without_a_set_point_there_is_one_that_stands(beside: Beside) -> None:
     assert len({m.reference[0] for m in beside.samples}) == 1
 
 
-def test_kelvin_are_converted_where_it_is_said_and_refused_where_not(beside: Beside) -> None:
+def test_kelvin_are_converted_where_it_is_said_and_refused_where_not(
+    beside: Beside,
+) -> None:
     beside.rig("--kelvin")
     wrong = beside.sampler()
-    beside.wait_for_word("outside -10 to 120 °C: no samples; if /oven/temperature has another unit")
+    beside.wait_for_word(
+        "outside -10 to 120 °C: no samples; if /oven/temperature has another unit"
+    )
     assert not beside.samples
     wrong.end()
     beside.sampler(output="/oven/temperature; unit=K")
@@ -330,7 +434,9 @@ def test_kelvin_are_converted_where_it_is_said_and_refused_where_not(beside: Bes
 def test_stamps_of_a_clock_that_is_behind_are_reported(beside: Beside) -> None:
     beside.rig("--stamped", "--behind", "100")
     beside.sampler(output="/oven/temperature:temperature")
-    beside.wait_for_word("the stamps of /oven/temperature:temperature lag behind this machine's clock")
+    beside.wait_for_word(
+        "the stamps of /oven/temperature:temperature lag behind this machine's clock"
+    )
     assert not beside.samples
 
 
@@ -339,7 +445,10 @@ MISFITS: tuple[tuple[dict[str, str], str], ...] = (
         {"output": "/oven/temp"},
         "no publisher on /oven/temp for 5 s; topics with a publisher: .*/oven/temperature",
     ),
-    ({"output": "/oven/temperature:value"}, "std_msgs/msg/Float64 has no field 'value'; its numbers:"),
+    (
+        {"output": "/oven/temperature:value"},
+        "std_msgs/msg/Float64 has no field 'value'; its numbers:",
+    ),
     (
         {"output": "/oven/temperature; unit=Pa"},
         "'/oven/temperature:data' is in Pa, but the plant's output",
@@ -355,19 +464,34 @@ MISFITS: tuple[tuple[dict[str, str], str], ...] = (
         "gain: is not a known key; there are column, columns, missing, names",
     ),
     ({"max_age__room": "3.0"}, "there is no parameter max_age.room"),
-    ({"types": "'/oven/heater lab_msgs/msg/Drive'"}, "lab_msgs/msg/Drive is not installed here"),
+    (
+        {"types": "'/oven/heater lab_msgs/msg/Drive'"},
+        "lab_msgs/msg/Drive is not installed here",
+    ),
 )
 
 
 OF_BOTH: tuple[tuple[dict[str, str], str], ...] = (
-    ({"map.second_temperature": ""}, "map.second_temperature is missing; give its topic and field"),
+    (
+        {"map.second_temperature": ""},
+        "map.second_temperature is missing; give its topic and field",
+    ),
     (
         {"map.power": "/oven/heater", "map.input.1": "/oven/heater"},
         "map.input.1 and map.power are the same signal; give it once",
     ),
-    ({"map.reference.1": ""}, "map.temperature_reference is missing; .*; give all set-points, or none"),
-    ({"map.power": "/oven/heater; unit=degC"}, "'/oven/heater:data' is in degC, but the plant's power in %"),
-    ({"paced_by": "input"}, "paced_by is 'input'; allowed: one of: .*, power, second, timer"),
+    (
+        {"map.reference.1": ""},
+        "map.temperature_reference is missing; .*; give all set-points, or none",
+    ),
+    (
+        {"map.power": "/oven/heater; unit=degC"},
+        "'/oven/heater:data' is in degC, but the plant's power in %",
+    ),
+    (
+        {"paced_by": "input"},
+        "paced_by is 'input'; allowed: one of: .*, power, second, timer",
+    ),
     ({"max_age.output.3": 3.0}, "there is no parameter max_age.output.3"),
 )
 
@@ -378,7 +502,9 @@ def is_refused(sampler: Inside, words: str) -> None:
     assert sampler.text.count("\n") == 1
 
 
-def test_what_does_not_fit_is_one_line_and_exit_code_2(beside: Beside, start: Any, tmp_path: Path) -> None:
+def test_what_does_not_fit_is_one_line_and_exit_code_2(
+    beside: Beside, start: Any, tmp_path: Path
+) -> None:
     rig = beside.rig()
     rig.wait_until(lambda: rig.json, "its first samples")
     for misfit, words in MISFITS:
@@ -397,6 +523,10 @@ def test_fields_of_installed_types_are_known() -> None:
     }
     fields: dict[str, Any] = dict(fields_of("sensor_msgs/msg/Imu"))
     assert fields["orientation_covariance"] == Field("double", array=True, length=9)
-    assert dict(fields_of("sensor_msgs/msg/JointState"))["name"] == Field("string", array=True)
-    with pytest.raises(MessageTypeError, match="lab_msgs/msg/Rack is not installed here"):
+    assert dict(fields_of("sensor_msgs/msg/JointState"))["name"] == Field(
+        "string", array=True
+    )
+    with pytest.raises(
+        MessageTypeError, match="lab_msgs/msg/Rack is not installed here"
+    ):
         message_class("lab_msgs/msg/Rack")

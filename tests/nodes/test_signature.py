@@ -7,13 +7,21 @@ import pytest
 from twinmatch.nodes.signature import VARIABLE, RunSignature, new_secret
 from twinmatch_msgs.srv import ApplyLaw
 
-FIELDS = {"proportional": [1.0], "low": [0.1, 0.2], "sample": 7, "decision": "safe", "request": "a"}
+FIELDS = {
+    "proportional": [1.0],
+    "low": [0.1, 0.2],
+    "sample": 7,
+    "decision": "safe",
+    "request": "a",
+}
 
 
 def test_it_is_of_all_fields_and_of_the_secret() -> None:
     """A request that differs in any field, or is signed by another run, has another signature."""
     run_signature = RunSignature(new_secret())
-    signed = ApplyLaw.Request(**FIELDS, signature=run_signature.of(ApplyLaw.Request(**FIELDS)))
+    signed = ApplyLaw.Request(
+        **FIELDS, signature=run_signature.of(ApplyLaw.Request(**FIELDS))
+    )
     assert run_signature.signs(signed)
     assert not RunSignature(new_secret()).signs(signed)
     for name, value in (
@@ -26,7 +34,9 @@ def test_it_is_of_all_fields_and_of_the_secret() -> None:
         ("signature", ""),
         ("signature", "é"),
     ):
-        changed = ApplyLaw.Request(**FIELDS | {"signature": signed.signature} | {name: value})
+        changed = ApplyLaw.Request(
+            **FIELDS | {"signature": signed.signature} | {name: value}
+        )
         assert not run_signature.signs(changed), name
 
 

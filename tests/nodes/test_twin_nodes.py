@@ -16,7 +16,12 @@ from tests.support.processes import Start
 from tests.support.ros import Listener
 from twinmatch.comparing import Verdict
 from twinmatch.defects import DefectWarning
-from twinmatch.nodes.messages import message_of, parameters_message, record_of, state_message
+from twinmatch.nodes.messages import (
+    message_of,
+    parameters_message,
+    record_of,
+    state_message,
+)
 from twinmatch.nodes.topics import EVERYTHING, LATCHED
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
@@ -54,12 +59,18 @@ def test_live_verdicts_are_the_offline_ones_whatever_is_published_beside(
         start_process(name)
     requests = listener.hear(MatchRequest, "twin/match_request", EVERYTHING)
     topics = ("twin/match", "twin/match_request", "twin/model_score", "twin/state")
-    listener.spin_until(lambda: all(map(listener.node.count_publishers, topics)), "the nodes")
+    listener.spin_until(
+        lambda: all(map(listener.node.count_publishers, topics)), "the nodes"
+    )
     options = ("-p", "rate:=0.0", "-p", "wait_for:=2", "-p", "wait_timeout:=60.0")
     start_process("player", "-p", f"session:={session}", *options)
     drawn = Nonsense(46)
     rounds = iter(range(0, len(steps), 20))
-    beside = {"plant/sample": LoopSample, "twin/match": Match, "twin/match_request": MatchRequest}
+    beside = {
+        "plant/sample": LoopSample,
+        "twin/match": Match,
+        "twin/match_request": MatchRequest,
+    }
     make = listener.node.create_publisher
     due = 0
     writers = [(make(kind, name, EVERYTHING), kind) for name, kind in beside.items()]
@@ -73,17 +84,29 @@ def test_live_verdicts_are_the_offline_ones_whatever_is_published_beside(
         return len(heard) == len(verdicts) and len(states) == len(steps)
 
     listener.spin_until(all_there, "the last verdict")
-    listener.spin_until(lambda: sum(map(is_sound, heard_matches)) >= len(matches), "the last match")
-    heard_matches, requests = (list(filter(is_sound, received)) for received in (heard_matches, requests))
+    listener.spin_until(
+        lambda: sum(map(is_sound, heard_matches)) >= len(matches), "the last match"
+    )
+    heard_matches, requests = (
+        list(filter(is_sound, received)) for received in (heard_matches, requests)
+    )
     stamps = {sample.index: sample.stamp for sample in steps}
-    expected: list[Any] = [message_of(verdict, stamps[verdict.sample]) for verdict in verdicts]
+    expected: list[Any] = [
+        message_of(verdict, stamps[verdict.sample]) for verdict in verdicts
+    ]
     assert [repr(m) for m in heard] == [repr(m) for m in expected]
     expected = [message_of(report, stamps[report.sample]) for report in matches]
     # On a busy machine one may have been asked for, and so answered, twice.
-    assert list(dict.fromkeys(repr(m) for m in heard_matches)) == [repr(m) for m in expected]
-    assert list(dict.fromkeys(r.sample for r in requests)) == [report.sample for report in matches]
+    assert list(dict.fromkeys(repr(m) for m in heard_matches)) == [
+        repr(m) for m in expected
+    ]
+    assert list(dict.fromkeys(r.sample for r in requests)) == [
+        report.sample for report in matches
+    ]
     assert [state.index for state in states] == [sample.index for sample in steps]
-    listener.spin_until(lambda: nominals[-1].name == verdicts[-1].nominal, "the last nominal")
+    listener.spin_until(
+        lambda: nominals[-1].name == verdicts[-1].nominal, "the last nominal"
+    )
     assert repr(record_of(heard[-1])) == repr(verdicts[-1])
     assert repr(record_of(heard_matches[-1])) == repr(matches[-1])
 
@@ -109,17 +132,25 @@ def test_a_matcher_that_dies_costs_time_and_nothing_else(
     assert {request.sample for request in requests} == {requests[0].sample}
     assert len(requests) > 1
     start_process("matcher")
-    verdicts = [verdict for outcome in offline[:beginning] for verdict in outcome.verdicts]
+    verdicts = [
+        verdict for outcome in offline[:beginning] for verdict in outcome.verdicts
+    ]
     assert any(verdict.candidates for verdict in verdicts)
     listener.spin_until(lambda: len(heard) == len(verdicts), "the last verdict")
     assert [repr(record_of(m)) for m in heard] == [repr(v) for v in verdicts]
 
 
-def test_late_simulator_is_given_the_leader(start: Start, listener: Listener, steps: list[Sample]) -> None:
+def test_late_simulator_is_given_the_leader(
+    start: Start, listener: Listener, steps: list[Sample]
+) -> None:
     """And its state is that of a mirror with those parameters."""
-    parameters = Peltier.model().parameters(seebeck=0.08, conductance=0.4, heat_capacity=30.0)
+    parameters = Peltier.model().parameters(
+        seebeck=0.08, conductance=0.4, heat_capacity=30.0
+    )
     leader = ForecastScore(name="60 °C", parameters=parameters_message(parameters))
-    listener.node.create_publisher(ForecastScore, "twin/leader", LATCHED).publish(leader)
+    listener.node.create_publisher(ForecastScore, "twin/leader", LATCHED).publish(
+        leader
+    )
     states = listener.hear(TwinState, "twin/state", EVERYTHING)
     assert not listener.health
     start("twin_simulator")
@@ -128,11 +159,16 @@ def test_late_simulator_is_given_the_leader(start: Start, listener: Listener, st
     listener.spin_until(lambda: len(states) == 50, "the states")
     mirror = Mirror(TwinSettings().start)
     mirror.parameters = parameters
-    expected = [state_message(mirror.push(sample), "60 °C", Peltier.states) for sample in steps[:50]]
+    expected = [
+        state_message(mirror.push(sample), "60 °C", Peltier.states)
+        for sample in steps[:50]
+    ]
     assert [repr(state) for state in states] == [repr(state) for state in expected]
 
 
-def test_simulator_says_once_what_plant_it_is(start: Callable[..., Any], listener: Any) -> None:
+def test_simulator_says_once_what_plant_it_is(
+    start: Callable[..., Any], listener: Any
+) -> None:
     start("twin_simulator", "-p", "period:=0.5")
     heard = listener.hear(PlantDescription, "plant/description", LATCHED)
     listener.spin_until(lambda: heard, "the description")
@@ -142,7 +178,9 @@ def test_simulator_says_once_what_plant_it_is(start: Callable[..., Any], listene
     assert "sink with mass" in heard[0].structures
 
 
-def test_gap_is_an_error_on_diagnostics(start: Start, listener: Listener, steps: list[Sample]) -> None:
+def test_gap_is_an_error_on_diagnostics(
+    start: Start, listener: Listener, steps: list[Sample]
+) -> None:
     assert not listener.health
     start("discriminator")
     listener.spin_until(listener.samples.get_subscription_count, "the discriminator")
@@ -157,7 +195,11 @@ def test_gap_is_an_error_on_diagnostics(start: Start, listener: Listener, steps:
 def test_a_verdict_on_a_lost_sample_is_stamped_with_its_time(
     start: Start, listener: Listener, steps: list[Sample], offline: list[Outcome]
 ) -> None:
-    lost = offline[next(k for k, outcome in enumerate(offline) if outcome.verdicts)].verdicts[0].sample
+    lost = (
+        offline[next(k for k, outcome in enumerate(offline) if outcome.verdicts)]
+        .verdicts[0]
+        .sample
+    )
     heard = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
     start("discriminator")
     listener.wait_for_nodes("twin/match_request", "twin/model_score")
@@ -168,16 +210,23 @@ def test_a_verdict_on_a_lost_sample_is_stamped_with_its_time(
     assert stamp.sec * 10**9 + stamp.nanosec == steps[lost].stamp
 
 
-def test_three_in_one_process_have_nothing_to_say(start_process: Start, listener: Listener) -> None:
+def test_three_in_one_process_have_nothing_to_say(
+    start_process: Start, listener: Listener
+) -> None:
     process = start_process("twin")
     names = {"matcher", "discriminator", "twin_simulator"}
-    listener.spin_until(lambda: names <= set(listener.node.get_node_names()), "the nodes")
+    listener.spin_until(
+        lambda: names <= set(listener.node.get_node_names()), "the nodes"
+    )
     assert process.well(process.end())
     assert process.text == ""
 
 
 def test_a_defect_ends_no_node_and_is_said_by_verdict_and_diagnostics(
-    start: Start, listener: Listener, steps: list[Sample], monkeypatch: pytest.MonkeyPatch
+    start: Start,
+    listener: Listener,
+    steps: list[Sample],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     real = engine.verdict_of
 
@@ -195,7 +244,9 @@ def test_a_defect_ends_no_node_and_is_said_by_verdict_and_diagnostics(
         listener.wait_for_nodes("twin/model_score")
         listener.send(steps[:200])
         listener.spin_until(lambda: len(heard) == 3, "the verdict behind the defect")
-        listener.spin_until(lambda: listener.said("a defect of this program"), "its report")
+        listener.spin_until(
+            lambda: listener.said("a defect of this program"), "its report"
+        )
 
     with pytest.warns(DefectWarning, match="a slip"):
         judged()

@@ -33,7 +33,10 @@ def offline(steps: list[Sample]) -> list[Outcome]:
 
 
 def test_live_verdicts_and_estimates_of_several_signals_are_the_offline_ones(
-    start_process: Start, listener: Listener, steps: list[Sample], offline: list[Outcome]
+    start_process: Start,
+    listener: Listener,
+    steps: list[Sample],
+    offline: list[Outcome],
 ) -> None:
     heard = listener.hear(ModelScore, "twin/model_score", EVERYTHING)
     estimates = listener.hear(EstimatedReading, "plant/estimate", EVERYTHING)
@@ -46,16 +49,26 @@ def test_live_verdicts_and_estimates_of_several_signals_are_the_offline_ones(
     )  # twin simulator and discriminator
     listener.send(steps)
     verdicts = [verdict for outcome in offline for verdict in outcome.verdicts]
-    listener.spin_until(lambda: len(heard) == len(verdicts) and len(states) == len(steps), "the last verdict")
+    listener.spin_until(
+        lambda: len(heard) == len(verdicts) and len(states) == len(steps),
+        "the last verdict",
+    )
     stamps = {sample.index: sample.stamp for sample in steps}
-    assert [repr(m) for m in heard] == [repr(message_of(v, stamps[v.sample])) for v in verdicts]
+    assert [repr(m) for m in heard] == [
+        repr(message_of(v, stamps[v.sample])) for v in verdicts
+    ]
     assert repr(record_of(heard[-1])) == repr(verdicts[-1])
     (named_fault,) = {(v.fault, v.fault_signal) for v in verdicts} - {("", "")}
     assert named_fault == ("sensor-drift", "second_temperature")
     read_on = [estimate for outcome in offline for estimate in outcome.estimates]
     listener.spin_until(lambda: len(estimates) == len(read_on), "the last estimate")
-    assert [repr(m) for m in estimates] == [repr(message_of(e, stamps[e.sample])) for e in read_on]
+    assert [repr(m) for m in estimates] == [
+        repr(message_of(e, stamps[e.sample])) for e in read_on
+    ]
     newest = verdicts[-1]
-    assert [signal.signal for signal in newest.signals] == ["temperature", "second_temperature"]
+    assert [signal.signal for signal in newest.signals] == [
+        "temperature",
+        "second_temperature",
+    ]
     assert len(forecasts[-1].output) == 2 * len(forecasts[-1].time)
     assert [len(states[-1].driven_output), len(states[-1].reference)] == [2, 2]

@@ -48,7 +48,9 @@ def test_what_is_not_a_time_ahead_is_refused(text: str, message: str) -> None:
 
 
 def test_samples_without_a_date_take_seconds_alone() -> None:
-    with pytest.raises(ClockTimeError, match=r"have no date, only seconds; give \+SECONDS"):
+    with pytest.raises(
+        ClockTimeError, match=r"have no date, only seconds; give \+SECONDS"
+    ):
         seconds_until("07:00", 12_000_000_000)
     assert seconds_until("+60", 12_000_000_000) == 60.0
     assert clock_words(12_000_000_000, 5.0) == ""
@@ -58,7 +60,16 @@ def test_samples_without_a_date_take_seconds_alone() -> None:
 def test_the_command_says_when_and_when_to_begin(tmp_path: Path) -> None:
     out = tmp_path / "answer.json"
     answer = run_twinmatch(
-        "forecast", SHIPPED, "--at", "1200", "--reach", "60", "--by", "+1200", "--json", out
+        "forecast",
+        SHIPPED,
+        "--at",
+        "1200",
+        "--reach",
+        "60",
+        "--by",
+        "+1200",
+        "--json",
+        out,
     )
     assert answer.returncode == 0, answer.stderr
     assert "60 °C: first after " in answer.stdout
@@ -67,7 +78,12 @@ def test_the_command_says_when_and_when_to_begin(tmp_path: Path) -> None:
     assert document["move"] == 60.0
     moved = document["moved"]
     assert moved["earliest"] <= moved["expected"] <= moved["latest"]
-    assert 1000.0 < document["beginning"]["safe"] <= document["beginning"]["expected"] < 1200.0
+    assert (
+        1000.0
+        < document["beginning"]["safe"]
+        <= document["beginning"]["expected"]
+        < 1200.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -78,7 +94,9 @@ def test_the_command_says_when_and_when_to_begin(tmp_path: Path) -> None:
         (["--reach", "60", "--horizon", "300"], "--reach takes --hold, --by"),
     ],
 )
-def test_what_does_not_belong_together_is_refused(words: list[str], message: str) -> None:
+def test_what_does_not_belong_together_is_refused(
+    words: list[str], message: str
+) -> None:
     refused = run_twinmatch("forecast", SHIPPED, *words)
     assert refused.returncode == 2
     assert message in refused.stderr

@@ -51,18 +51,43 @@ def test_try_controller_has_an_exit_code_for_each_decision(
     """Two laws and a file that is not there; the answer as JSON, and as a figure. One that fails is below."""
     out = tmp_path / "answer.json"
     figure = tmp_path / "answer.svg"
-    base = ["try-controller", str(SHIPPED), "--draws", "25", "--set", "temperature=75@60"]
-    safe = [*base, "--loop", str(law_file(tmp_path)), "--json", str(out), "--figure", str(figure)]
+    base = [
+        "try-controller",
+        str(SHIPPED),
+        "--draws",
+        "25",
+        "--set",
+        "temperature=75@60",
+    ]
+    safe = [
+        *base,
+        "--loop",
+        str(law_file(tmp_path)),
+        "--json",
+        str(out),
+        "--figure",
+        str(figure),
+    ]
     assert main(safe) == 0
-    assert capsys.readouterr().out.startswith("law.json: safe for all that the data allow: stable on ")
+    assert capsys.readouterr().out.startswith(
+        "law.json: safe for all that the data allow: stable on "
+    )
     document = json.loads(out.read_text("utf-8"))
     assert document["decision"] == "safe"
     assert (
-        len(document["t"]) == len(document["outputs"][0]["median"]) == len(document["references"][0]) == 300
+        len(document["t"])
+        == len(document["outputs"][0]["median"])
+        == len(document["references"][0])
+        == 300
     )
-    assert {"overshoot", "settling time"} <= {row["name"] for row in document["figures"]}
+    assert {"overshoot", "settling time"} <= {
+        row["name"] for row in document["figures"]
+    }
     assert figure.read_text("utf-8").count("<svg") == 1
-    assert main([*base, "--loop", str(law_file(tmp_path, proportional=150, integral=10))]) == 3
+    assert (
+        main([*base, "--loop", str(law_file(tmp_path, proportional=150, integral=10))])
+        == 3
+    )
     assert "undecided: unstable in " in capsys.readouterr().out
     assert main([*base, "--loop", str(tmp_path / "no.json")]) == 2
     assert "cannot be read" in capsys.readouterr().err
@@ -75,15 +100,27 @@ def test_an_experiment_is_proposed_in_words_as_json_and_as_a_figure(
     out = tmp_path / "course.json"
     figure = tmp_path / "course.svg"
     base = ["experiment", str(SHIPPED)]
-    assert main([*base, "--minutes", "2", "--json", str(out), "--figure", str(figure)]) == 0
+    assert (
+        main([*base, "--minutes", "2", "--json", str(out), "--figure", str(figure)])
+        == 0
+    )
     first, *course_lines = capsys.readouterr().out.splitlines()
-    assert re.match(r"hold temperature \d+ °C for .* characters for structure are expected", first)
-    assert [line.split(":")[0].strip() for line in course_lines] == ["proposed", "step", "PRBS", "nothing"]
+    assert re.match(
+        r"hold temperature \d+ °C for .* characters for structure are expected", first
+    )
+    assert [line.split(":")[0].strip() for line in course_lines] == [
+        "proposed",
+        "step",
+        "PRBS",
+        "nothing",
+    ]
     document = json.loads(out.read_text("utf-8"))
     course = document["courses"][0]
     assert document["goal"] == "structure"
     assert len(course["levels"][0]) <= 120
-    assert course["characters"] > max(rival["characters"] for rival in document["courses"][1:])
+    assert course["characters"] > max(
+        rival["characters"] for rival in document["courses"][1:]
+    )
     assert figure.read_text("utf-8").count("<svg") == 1
     undecided = ["--loop", str(law_file(tmp_path, proportional=150, integral=10))]
     assert main([*base, "--minutes", "1", "--for", "controller", *undecided]) == 0
@@ -113,17 +150,25 @@ def test_new_gains_are_tried_at_once_and_can_be_read(
     assert main(["retune", str(SHIPPED), "--json", str(path)]) == 0
     first, *lines = capsys.readouterr().out.splitlines()
     assert first.startswith("the mean squared error after a load is ")
-    assert any(line.strip().startswith("safe for all that the data allow") for line in lines)
+    assert any(
+        line.strip().startswith("safe for all that the data allow") for line in lines
+    )
     law = read_law(path, Peltier, 1.0)
     assert isinstance(law, LinearLaw)
     before = as_linear(law_of(Peltier, 1.0))
     assert 1.0 < law.E[0, 0] / before.E[0, 0] < 2.0
 
 
-def test_only_a_pid_that_is_known_is_tuned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_a_pid_that_is_known_is_tuned(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     kit_session("prbs_open_loop", tmp_path)
-    assert main(["retune", str(tmp_path / "prbs_open_loop"), "--plant", "tclab-both"]) == 2
-    assert "prbs_open_loop: its controller is not a known PID" in capsys.readouterr().err
+    assert (
+        main(["retune", str(tmp_path / "prbs_open_loop"), "--plant", "tclab-both"]) == 2
+    )
+    assert (
+        "prbs_open_loop: its controller is not a known PID" in capsys.readouterr().err
+    )
 
 
 def test_the_twins_of_earlier_sessions_are_tried_too(
@@ -132,9 +177,16 @@ def test_the_twins_of_earlier_sessions_are_tried_too(
     """One of them is a plate of half the heat capacity: a law that holds all of today's twins fails on it."""
     path = tmp_path / "memory.db"
     model = Peltier.model("held sink")
-    with pytest.raises(ControllerError, match="remembers nothing of plant peltier; leave --memory out"):
+    with pytest.raises(
+        ControllerError, match="remembers nothing of plant peltier; leave --memory out"
+    ):
         remembered(ground, path)
-    usual = {**model.typical(), "seebeck": 0.08, "conductance": 0.4, "heat_capacity": 30.0}
+    usual = {
+        **model.typical(),
+        "seebeck": 0.08,
+        "conductance": 0.4,
+        "heat_capacity": 30.0,
+    }
     Memory(path).add(
         lesson(
             k,
@@ -188,7 +240,8 @@ def test_a_real_kit_was_predicted_and_the_comparison_is_kept(
         printed,
     )
     assert line
-    assert float(line[1]) == pytest.approx(5.16, rel=0.05)  # far within its band, 4.5 to 6.7
+    # far within its band, 4.5 to 6.7
+    assert float(line[1]) == pytest.approx(5.16, rel=0.05)
     largest = re.fullmatch(r"largest error 5\.19, predicted ([\d.]+) °C", line[2])
     assert largest
     assert float(largest[1]) == pytest.approx(5.19, rel=0.05)
@@ -199,9 +252,14 @@ def test_a_real_kit_was_predicted_and_the_comparison_is_kept(
         (PROJECT / "docs" / "controllers.md").read_text("utf-8"),
     )
     assert quoted
-    assert 100 * comparison["share"] == pytest.approx(float(quoted[1]), abs=2)  # fewer draws than on the page
+    # fewer draws than on the page
+    assert 100 * comparison["share"] == pytest.approx(float(quoted[1]), abs=2)
     (remembered_comparison,) = Memory(file).comparisons("tclab-both")
-    assert (remembered_comparison.measured, remembered_comparison.inside, remembered_comparison.name) == (
+    assert (
+        remembered_comparison.measured,
+        remembered_comparison.inside,
+        remembered_comparison.name,
+    ) == (
         comparison["measured"],
         True,
         "closed_loop_lqg",
@@ -212,7 +270,10 @@ def test_a_real_kit_was_predicted_and_the_comparison_is_kept(
     other_law.write_text(json.dumps(document), "utf-8")
     assert main([*command, str(other_law)]) == 2
     assert "another law ran there; give that one" in capsys.readouterr().err
-    assert main([*base, "--came", str(tmp_path / "prbs_open_loop"), "--loop", str(law)]) == 2
+    assert (
+        main([*base, "--came", str(tmp_path / "prbs_open_loop"), "--loop", str(law)])
+        == 2
+    )
     assert "is a session that it is predicted from" in capsys.readouterr().err
 
 
@@ -223,11 +284,21 @@ def test_later_answers_are_as_wide_as_the_record_asks_for(
     memory = Memory(tmp_path / "rig.sqlite")
     for k, measured in enumerate((5.2, 4.1, 8.0)):
         memory.add_comparison(comparison(k, measured=measured))
-    command = ["try-controller", str(SHIPPED), "--loop", str(law_file(tmp_path)), "--draws", "10"]
+    command = [
+        "try-controller",
+        str(SHIPPED),
+        "--loop",
+        str(law_file(tmp_path)),
+        "--draws",
+        "10",
+    ]
     command += ["--set", "temperature=75@60", "--json", str(out)]
     assert main([*command, "--memory", str(memory.path)]) == 0
     assert json.loads(out.read_text("utf-8"))["widening"] == pytest.approx(3.0)
-    assert "3 times as wide as the recordings alone would have them: of 3 sessions" in capsys.readouterr().out
+    assert (
+        "3 times as wide as the recordings alone would have them: of 3 sessions"
+        in capsys.readouterr().out
+    )
 
 
 @pytest.mark.parametrize(
@@ -241,5 +312,16 @@ def test_later_answers_are_as_wide_as_the_record_asks_for(
 def test_mistakes_on_the_command_line_are_named(
     options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["try-controller", str(SHIPPED), "--loop", str(law_file(tmp_path)), *options]) == 2
+    assert (
+        main(
+            [
+                "try-controller",
+                str(SHIPPED),
+                "--loop",
+                str(law_file(tmp_path)),
+                *options,
+            ]
+        )
+        == 2
+    )
     assert words in capsys.readouterr().err

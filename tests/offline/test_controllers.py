@@ -58,7 +58,9 @@ def ground(session: Session) -> Ground:
 
 
 @pytest.fixture(scope="module")
-def members(ground: Ground, members_of: Callable[..., tuple[TriedTwin, ...]]) -> tuple[TriedTwin, ...]:
+def members(
+    ground: Ground, members_of: Callable[..., tuple[TriedTwin, ...]]
+) -> tuple[TriedTwin, ...]:
     return members_of(ground)
 
 
@@ -68,19 +70,27 @@ def test_the_law_that_ran_is_safe_and_the_same_beside_itself(
     law = read_law(law_file(tmp_path), Peltier, 1.0)
     holding = ground.holding
     references = usual_profile(Peltier, ground.level, 120)
-    answer = try_controller(members, ControllerQuestion(law, references, references[0], holding, draws=50))
+    answer = try_controller(
+        members, ControllerQuestion(law, references, references[0], holding, draws=50)
+    )
     assert answer.decision is ControllerDecision.SAFE, answer.sentence
     assert answer.guarantee is not None
     assert answer.guarantee.holds
     assert answer.running is not None
     for quantity, figure in answer.courses.figures.items():
-        assert figure == pytest.approx(answer.running.figures[quantity], rel=1e-6, nan_ok=True)
+        assert figure == pytest.approx(
+            answer.running.figures[quantity], rel=1e-6, nan_ok=True
+        )
     rested = [replace(member, states=None) for member in members]
     at_rest = try_controller(
-        rested, ControllerQuestion(law, references[:120], references[0], holding, draws=50)
+        rested,
+        ControllerQuestion(law, references[:120], references[0], holding, draws=50),
     )
-    still = at_rest.courses.figures[CourseFigure("mean squared error", "temperature", "°C²")]
-    assert still.high < 0.1**2  # in closed loop the noise of the readings moves the plate by less
+    still = at_rest.courses.figures[
+        CourseFigure("mean squared error", "temperature", "°C²")
+    ]
+    # in closed loop the noise of the readings moves the plate by less
+    assert still.high < 0.1**2
 
 
 def test_the_cost_of_the_last_part_was_predicted(session: Session) -> None:
@@ -94,21 +104,30 @@ def test_the_cost_of_the_last_part_was_predicted(session: Session) -> None:
     before = np.array(session.samples[cut - 1].references)
     question = ControllerQuestion(law, references, before, early.holding, draws=50)
     answer = try_controller(members_from(early), question)
-    came = np.mean([(s.output - s.reference) ** 2 for s in later]) - Peltier.output.noise**2
-    band = answer.courses.figures[CourseFigure("mean squared error", "temperature", "°C²")]
+    came = (
+        np.mean([(s.output - s.reference) ** 2 for s in later])
+        - Peltier.output.noise**2
+    )
+    band = answer.courses.figures[
+        CourseFigure("mean squared error", "temperature", "°C²")
+    ]
     assert 0.99 * band.low <= came <= 1.01 * band.high
 
 
 def test_a_session_that_ends_in_a_fault_is_refused(tmp_path: Path) -> None:
     lost = read_session(write_session(tmp_path / "lost", drive_lost()))
-    with pytest.raises(ControllerError, match=r"its twin ends fault \(the plant shows drive-lost\)"):
+    with pytest.raises(
+        ControllerError, match=r"its twin ends fault \(the plant shows drive-lost\)"
+    ):
         members_from(ground_of(lost))
     assert LawThatRan(ground_of(lost), law_of(Peltier, 1.0), "law").faulty
 
 
 def test_a_session_whose_twin_is_not_trusted_yet_is_refused(session: Session) -> None:
     short = replace(session, samples=session.samples[:200])
-    with pytest.raises(ControllerError, match="says what to record until the twin is trusted"):
+    with pytest.raises(
+        ControllerError, match="says what to record until the twin is trusted"
+    ):
         members_from(ground_of(short))
 
 
@@ -120,7 +139,9 @@ def test_the_noise_is_that_of_the_readings(session: Session) -> None:
         replace(s, outputs=(y + e,))
         for s, y, e in zip(readings, slow, rng.normal(0.0, 0.07, 3000), strict=True)
     ]
-    assert Ground(replace(session, samples=noisy), Peltier, None).noise == pytest.approx([0.07], rel=0.05)
+    assert Ground(
+        replace(session, samples=noisy), Peltier, None
+    ).noise == pytest.approx([0.07], rel=0.05)
     still = Ground(replace(session, samples=readings), Peltier, None)
     assert still.noise == pytest.approx([Peltier.output.noise])
 
@@ -130,8 +151,12 @@ def test_profiles_step_one_set_point_at_a_time_or_as_planned() -> None:
     assert usual.shape == (90, 2)
     steps = usual[::10] - LEVEL
     np.testing.assert_array_equal(steps[[0, 2, 4, 6, 8]], np.zeros((5, 2)))
-    np.testing.assert_allclose(steps[[1, 3, 5, 7]], [[15.0, 0.0], [-15.0, 0.0], [0.0, 15.0], [0.0, -15.0]])
-    planned = planned_profile(Heaters, LEVEL, [(0, 45, 38), (4, 50, 38), (8, 50, 40)], 2.0, 3)
+    np.testing.assert_allclose(
+        steps[[1, 3, 5, 7]], [[15.0, 0.0], [-15.0, 0.0], [0.0, 15.0], [0.0, -15.0]]
+    )
+    planned = planned_profile(
+        Heaters, LEVEL, [(0, 45, 38), (4, 50, 38), (8, 50, 40)], 2.0, 3
+    )
     np.testing.assert_array_equal(
         planned, [[45, 38], [50, 38], [50, 38], [50, 40], [50, 40], [50, 40], [50, 40]]
     )
@@ -141,13 +166,17 @@ def test_profiles_step_one_set_point_at_a_time_or_as_planned() -> None:
 
 def test_mistakes_in_profiles_are_named(session: Session) -> None:
     with pytest.raises(
-        ControllerError, match="a row has no level for second; give seconds, then first, second"
+        ControllerError,
+        match="a row has no level for second; give seconds, then first, second",
     ):
         planned_profile(Heaters, LEVEL, [(0, 45)], 1.0, 10)
-    with pytest.raises(ControllerError, match="first: profile: row 1: the set-point is 400"):
+    with pytest.raises(
+        ControllerError, match="first: profile: row 1: the set-point is 400"
+    ):
         planned_profile(Heaters, LEVEL, [(0, 400, 40)], 1.0, 10)
     with pytest.raises(
-        ControllerError, match="--set third=3@4: give NAME=LEVEL@S, with S in seconds and NAME of"
+        ControllerError,
+        match="--set third=3@4: give NAME=LEVEL@S, with S in seconds and NAME of",
     ):
         stepped_profile(Heaters, LEVEL, ["third=3@4"], 1.0, 10)
     assert recorded_profile(session).shape == (len(session.samples), 1)
@@ -191,9 +220,12 @@ def test_mistakes_in_files_of_laws_are_one_line(
 def test_a_law_in_python_runs_at_its_own_period_or_not_at_all(tmp_path: Path) -> None:
     """One second is what is meant where nothing is said, so it is not taken for another period either."""
     path = tmp_path / "law.py"
-    path.write_text("from twinmatch.dynamics import PidGains\nloop = PidGains(2, 1, 0, 0, -5, 5)\n")
+    path.write_text(
+        "from twinmatch.dynamics import PidGains\nloop = PidGains(2, 1, 0, 0, -5, 5)\n"
+    )
     with pytest.raises(
-        ControllerError, match=r"runs every 1 s, the samples come every 0\.1 s; give a law with"
+        ControllerError,
+        match=r"runs every 1 s, the samples come every 0\.1 s; give a law with",
     ):
         read_law(path, Lag, 0.1)
 
@@ -201,12 +233,24 @@ def test_a_law_in_python_runs_at_its_own_period_or_not_at_all(tmp_path: Path) ->
 MATRICES = """from twinmatch.dynamics import LinearLaw
 loop = LinearLaw([[1]], [[-1]], [[1]], [[-9]], [[9]], [[1]], [[0]], [0], [0], [0], [100], period=3.0)
 """
-BY_KEY = {"A": [[1]], "B": [[-1]], "C": [[1]], "D": [[-9]], "E": [[9]], "F": [[1]], "period": 3.0}
+BY_KEY = {
+    "A": [[1]],
+    "B": [[-1]],
+    "C": [[1]],
+    "D": [[-9]],
+    "E": [[9]],
+    "F": [[1]],
+    "period": 3.0,
+}
 
 
-def test_matrices_of_another_period_are_refused_wherever_a_law_is_given(tmp_path: Path) -> None:
+def test_matrices_of_another_period_are_refused_wherever_a_law_is_given(
+    tmp_path: Path,
+) -> None:
     """A PID of a plant file is in seconds, and holds at any period."""
-    words = "the law runs every 3 s, the samples come every 1 s; give a law with period=1"
+    words = (
+        "the law runs every 3 s, the samples come every 1 s; give a law with period=1"
+    )
     (tmp_path / "law.py").write_text(MATRICES)
     (tmp_path / "law.json").write_text(json.dumps({"kind": "state-space"} | BY_KEY))
     for name in ("law.py", "law.json"):
@@ -219,7 +263,9 @@ def test_matrices_of_another_period_are_refused_wherever_a_law_is_given(tmp_path
         ("    structures", f"    {loop}\n    structures"),
     )
     plant = find_plant(str(plant_file(tmp_path, "looped", *changes)))
-    with pytest.raises(PlantError, match=f"plant looped: {words}, or set loop: unknown"):
+    with pytest.raises(
+        PlantError, match=f"plant looped: {words}, or set loop: unknown"
+    ):
         TwinSettings.of(plant)
     assert TwinSettings.of(plant, period=3.0).law is plant.loop
     assert law_of(Peltier, 0.5) == replace(law_of(Peltier, 1.0), period=0.5)
@@ -236,7 +282,9 @@ def test_a_law_is_tried_on_a_real_kit_from_its_open_loop_alone(
     law = read_law(path, ground.plant, 1.0)
     twins = members_of(ground)
     assert len(twins) == 5
-    question = ControllerQuestion(law, references[:300], references[0], ground.holding, draws=25)
+    question = ControllerQuestion(
+        law, references[:300], references[0], ground.holding, draws=25
+    )
     answer = try_controller(twins, question)
     assert answer.decision is ControllerDecision.SAFE, answer.sentence
     assert answer.guarantee is not None
@@ -244,7 +292,9 @@ def test_a_law_is_tried_on_a_real_kit_from_its_open_loop_alone(
     assert len(ground.unvisited(references)) == 2
     document = json.loads(path.read_text("utf-8"))
     document["K"][2] = [-value for value in document["K"][2]]
-    wrong = try_controller(twins, replace(question, law=law_from(document, ground.plant, 1.0)))
+    wrong = try_controller(
+        twins, replace(question, law=law_from(document, ground.plant, 1.0))
+    )
     assert wrong.decision is ControllerDecision.FAILS
     assert wrong.sentence.startswith("fails on 5 of 5 twins")
     assert resting_point(path) == pytest.approx([54.736, 47.904])
@@ -257,9 +307,12 @@ def test_what_cannot_be_tried_on_several_loops(tmp_path: Path) -> None:
         for k, (a, b) in enumerate(rng.normal(size=(900, 2)))
     ]
     session = replace(
-        read_session(write_session(tmp_path / "noise", noise)), plant="tclab-both", has_reference=False
+        read_session(write_session(tmp_path / "noise", noise)),
+        plant="tclab-both",
+        has_reference=False,
     )
     with pytest.raises(
-        ControllerError, match=r"explains only 0 % of its movement, .* record steps of every input"
+        ControllerError,
+        match=r"explains only 0 % of its movement, .* record steps of every input",
     ):
         members_from(ground_of(session))

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("tclab", reason="the simulated kit is not installed; it is in the extra 'tclab'")
+pytest.importorskip(
+    "tclab", reason="the simulated kit is not installed; it is in the extra 'tclab'"
+)
 
 from benchmarks.two_heaters import BEGINS, MISHAPS, SIZE, run
 from twinmatch.cli import main
@@ -33,7 +35,18 @@ def test_known_loops_are_planned_with_and_faulty_samples_are_none(
     """Set-points, by the names in the plant file; and the fits know nothing of the wrong readings."""
     path = tmp_path / "course.json"
     assert (
-        main(["experiment", str(session), "--plant", "tclab-both", "--minutes", "5", "--json", str(path)])
+        main(
+            [
+                "experiment",
+                str(session),
+                "--plant",
+                "tclab-both",
+                "--minutes",
+                "5",
+                "--json",
+                str(path),
+            ]
+        )
         == 0
     )
     printed = capsys.readouterr().out
@@ -43,7 +56,9 @@ def test_known_loops_are_planned_with_and_faulty_samples_are_none(
     document = json.loads(path.read_text())
     assert document["planned"] == "set-points"
     assert any(LEFT_OUT in note for note in document["notes"])
-    last_samples = [int(name.rsplit(" ", maxsplit=1)[1]) for name in document["contenders"]]
+    last_samples = [
+        int(name.rsplit(" ", maxsplit=1)[1]) for name in document["contenders"]
+    ]
     assert last_samples
     assert max(last_samples) <= BEGINS
 
@@ -51,8 +66,12 @@ def test_known_loops_are_planned_with_and_faulty_samples_are_none(
 def test_loops_that_did_not_run_are_not_planned_with(session: Path) -> None:
     """A law whose commands are not the recorded ones is not the one that ran."""
     recorded = read_session(session)
-    commanded = [replace(sample, inputs=(30.0, 30.0)) for sample in recorded.samples[:600]]
-    as_recorded = ground_of(replace(recorded, plant="tclab-both", samples=recorded.samples[:600]))
+    commanded = [
+        replace(sample, inputs=(30.0, 30.0)) for sample in recorded.samples[:600]
+    ]
+    as_recorded = ground_of(
+        replace(recorded, plant="tclab-both", samples=recorded.samples[:600])
+    )
     others = ground_of(replace(recorded, plant="tclab-both", samples=commanded))
     assert as_recorded.loops is not None
     assert others.loops is None

@@ -38,7 +38,10 @@ def one_step(rest: int, step: int) -> tuple[np.ndarray, np.ndarray]:
 def log_file(folder: Path, rest: int, step: int) -> Path:
     """The same as a table."""
     inputs, outputs = one_step(rest, step)
-    rows = [f"{k},{u:g},{y:.3f}" for k, (u, y) in enumerate(zip(inputs, outputs, strict=True))]
+    rows = [
+        f"{k},{u:g},{y:.3f}"
+        for k, (u, y) in enumerate(zip(inputs, outputs, strict=True))
+    ]
     path = folder / f"log_{rest}_{step}.csv"
     path.write_text("\n".join(["time,heater,temperature", *rows]) + "\n", "utf-8")
     return path
@@ -54,14 +57,18 @@ def plant_path(tmp_path: Path) -> Path:
     return tmp_path / "stepped.py"
 
 
-def test_a_drive_that_stood_is_recognised_and_the_plant_taken_as_begun_at_rest(tmp_path: Path) -> None:
+def test_a_drive_that_stood_is_recognised_and_the_plant_taken_as_begun_at_rest(
+    tmp_path: Path,
+) -> None:
     """The gain is right if the plant rested at first; by least squares it was anything."""
     inputs, outputs = one_step(1, 300)
     assert is_held(inputs)
     assert not is_held(one_step(100, 300)[0])
     assert begun_at_rest(outputs, np.full(300, 0.0), 50.0) is None
     table = read_table(log_file(tmp_path, 1, 300))
-    proposal = propose(table, parse_map(["time=time", "output=temperature", "input=heater"]))
+    proposal = propose(
+        table, parse_map(["time=time", "output=temperature", "input=heater"])
+    )
     assert proposal.held
     assert proposal.gain == pytest.approx(GAIN, rel=0.1)
     assert proposal.rest == pytest.approx(REST, abs=1.0)
@@ -73,7 +80,9 @@ def test_gain_and_rest_are_told_apart_by_a_rest(plant_path: Path) -> None:
     window = Window(outputs, outputs, inputs, period=1.0)
     inseparable = inseparable_in([window], plant)
     assert inseparable is not None
-    assert inseparable.sentence == ("gain and rest cannot be told apart: heater stood at 64 for 300 of 301 s")
+    assert inseparable.sentence == (
+        "gain and rest cannot be told apart: heater stood at 64 for 300 of 301 s"
+    )
     inputs, outputs = one_step(150, 300)
     assert inseparable_in([Window(outputs, outputs, inputs, period=1.0)], plant) is None
 
@@ -84,10 +93,15 @@ def test_a_step_without_rest_is_answered(plant_path: Path, tmp_path: Path) -> No
     log = log_file(tmp_path, 1, 300)
     gains = tmp_path / "pid.json"
     document = tmp_path / "answer.json"
-    answer = run_twinmatch("experiment", log, "--plant", plant_path, "--pid", gains, "--json", document)
+    answer = run_twinmatch(
+        "experiment", log, "--plant", plant_path, "--pid", gains, "--json", document
+    )
     assert answer.returncode == 0, answer.stderr
     first = answer.stdout.splitlines()[0]
-    assert first == "not trusted yet: gain and rest cannot be told apart: heater stood at 64 for 300 of 301 s"
+    assert (
+        first
+        == "not trusted yet: gain and rest cannot be told apart: heater stood at 64 for 300 of 301 s"
+    )
     course = PrintedCourse.read(answer.stdout)
     assert course.levels[0] == 0.0
     assert course.holds[0] >= 40.0
@@ -97,13 +111,21 @@ def test_a_step_without_rest_is_answered(plant_path: Path, tmp_path: Path) -> No
     assert parsed["course"]["levels"] == list(course.levels)
     assert json.loads(gains.read_text("utf-8"))["kind"] == "pid"
     session = tmp_path / "session"
-    assert run_twinmatch("import", log, "--plant", plant_path, "-o", session).returncode == 0
-    tried = run_twinmatch("try-controller", session, "--plant", plant_path, "--loop", gains)
+    assert (
+        run_twinmatch("import", log, "--plant", plant_path, "-o", session).returncode
+        == 0
+    )
+    tried = run_twinmatch(
+        "try-controller", session, "--plant", plant_path, "--loop", gains
+    )
     assert tried.returncode == 2
     assert "gain and rest cannot be told apart" in tried.stderr
     assert "twinmatch experiment says what to record" in tried.stderr
     checked = run_twinmatch("check-plant", plant_path, "--data", session)
-    assert "no window could be matched: gain and rest cannot be told apart" in checked.stdout
+    assert (
+        "no window could be matched: gain and rest cannot be told apart"
+        in checked.stdout
+    )
     assert "did not move far enough" not in checked.stdout
 
 
@@ -128,7 +150,10 @@ def test_a_plant_file_alone_is_answered(plant_path: Path) -> None:
         (["--measured", "t [°C] a to 5"], "an end that is not a number"),
         (["--measured", "t [°C^] 5 to 90"], "'°C^' is not a known unit"),
         (["--measured", "t [left] 5 to 90"], "'left' is not a known unit"),
-        (["--measured", "t [°C] 5 to 90", "--now", "200"], "give a reading within 5 to 90"),
+        (
+            ["--measured", "t [°C] 5 to 90", "--now", "200"],
+            "give a reading within 5 to 90",
+        ),
         ([], "--nothing-recorded needs --measured and --takes"),
     ],
 )
@@ -136,7 +161,9 @@ def test_what_is_said_of_a_plant_without_a_recording_is_checked(
     words: list[str], message: str, tmp_path: Path
 ) -> None:
     takes = ["--takes", "600"] if words else []
-    refused = run_twinmatch("new-plant", "bare", "--nothing-recorded", *words, *takes, "-o", tmp_path)
+    refused = run_twinmatch(
+        "new-plant", "bare", "--nothing-recorded", *words, *takes, "-o", tmp_path
+    )
     assert refused.returncode == 2
     assert message in refused.stderr
     assert not list(tmp_path.iterdir())

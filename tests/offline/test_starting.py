@@ -40,7 +40,12 @@ def test_a_replay_starts_from_the_memory_and_says_so(
     tmp_path: Path, memory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     verdict = first_verdict(tmp_path, "--memory", str(memory))
-    assert verdict["leader"] in {"remembered", "session run_1", "session run_2", "session run_3"}
+    assert verdict["leader"] in {
+        "remembered",
+        "session run_1",
+        "session run_2",
+        "session run_3",
+    }
     assert "3 sessions are remembered" in capsys.readouterr().err
     assert first_verdict(tmp_path)["leader"] is None
 
@@ -49,22 +54,33 @@ def test_it_joins_the_users_candidates_and_leaves_out_the_session_itself(
     tmp_path: Path, memory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     users_file = PROJECT / "config" / "paper_candidates.yaml"
-    verdict = first_verdict(tmp_path, "--memory", str(memory), "--candidates", str(users_file))
-    assert verdict["leader"] in {"remembered", "session run_1", "session run_2", "session run_3"}
+    verdict = first_verdict(
+        tmp_path, "--memory", str(memory), "--candidates", str(users_file)
+    )
+    assert verdict["leader"] in {
+        "remembered",
+        "session run_1",
+        "session run_2",
+        "session run_3",
+    }
     alone = tmp_path / "alone.sqlite"
     Memory(alone).add([replace(taught(1), name=SHIPPED.name)])
     assert first_verdict(tmp_path, "--memory", str(alone))["leader"] is None
     assert "nothing is remembered yet" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("content", [b"no memory at all", b"SQLite format 3\x00" + b"\x07" * 4000])
+@pytest.mark.parametrize(
+    "content", [b"no memory at all", b"SQLite format 3\x00" + b"\x07" * 4000]
+)
 def test_a_memory_that_cannot_be_read_is_one_line_and_the_run_continues(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes
 ) -> None:
     path = tmp_path / "memory.sqlite"
     path.write_bytes(content)
     assert first_verdict(tmp_path, "--memory", str(path))["leader"] is None
-    (line,) = [line for line in capsys.readouterr().err.splitlines() if "memory" in line]
+    (line,) = [
+        line for line in capsys.readouterr().err.splitlines() if "memory" in line
+    ]
     assert line.endswith("this run starts without a memory")
 
 
@@ -75,7 +91,9 @@ def test_a_rig_has_a_memory_of_its_own_in_the_users_data(
     assert first_verdict(tmp_path, "--rig", "left")["leader"] is None
     assert "rigs of this name: none" in capsys.readouterr().err
     (tmp_path / "twinmatch").mkdir(exist_ok=True)
-    Memory(tmp_path / "twinmatch" / "peltier@left.sqlite").add([taught(k, rig="left") for k in (1, 2)])
+    Memory(tmp_path / "twinmatch" / "peltier@left.sqlite").add(
+        [taught(k, rig="left") for k in (1, 2)]
+    )
     assert first_verdict(tmp_path, "--rig", "left")["leader"] in {
         "remembered",
         "session run_1",
@@ -83,12 +101,18 @@ def test_a_rig_has_a_memory_of_its_own_in_the_users_data(
     }
 
 
-def test_what_a_session_started_from_is_recorded_as_a_file_of_candidates(memory: Path) -> None:
+def test_what_a_session_started_from_is_recorded_as_a_file_of_candidates(
+    memory: Path,
+) -> None:
     from twinmatch.offline.starting import remembered_start
     from twinmatch.parameters.candidates import candidates_text, parse_candidates
 
     start = remembered_start(memory, "", "")
     read_back = parse_candidates(candidates_text(start.candidates), "file")
-    assert [(c.name, c.parameters) for c in read_back] == [(c.name, c.parameters) for c in start.candidates]
+    assert [(c.name, c.parameters) for c in read_back] == [
+        (c.name, c.parameters) for c in start.candidates
+    ]
     for candidate, original in zip(read_back, start.candidates, strict=True):
-        np.testing.assert_allclose(candidate.covariance, original.covariance, rtol=1e-15)
+        np.testing.assert_allclose(
+            candidate.covariance, original.covariance, rtol=1e-15
+        )

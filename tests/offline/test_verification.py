@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
 
 from benchmarks.bank.kits import run
 from tests.support.places import SHIPPED
@@ -24,7 +26,12 @@ from twinmatch.offline.judging import Judgement, Terms, TermsError
 from twinmatch.offline.summary import summarise
 from twinmatch.offline.verification import VerifyError, verify_session
 from twinmatch.parameters.candidates import parse_candidates
-from twinmatch.parameters.twin import read_settings, settings_from, twin_values, values_of
+from twinmatch.parameters.twin import (
+    read_settings,
+    settings_from,
+    twin_values,
+    values_of,
+)
 from twinmatch.plants import Peltier, TCLabBoth
 from twinmatch.sessions import Session, SessionError, write_session
 from twinmatch.sessions.metadata import parameters_of, parameters_record
@@ -52,7 +59,9 @@ def outcomes(samples: list[Sample]) -> list[Outcome]:
 
 
 @pytest.fixture
-def record(samples: list[Sample], outcomes: list[Outcome], tmp_path: Path) -> Callable[..., Path]:
+def record(
+    samples: list[Sample], outcomes: list[Outcome], tmp_path: Path
+) -> Callable[..., Path]:
     """A session as the recorder makes one, with some parameters other than the twin's, or of other names."""
 
     def write(
@@ -62,8 +71,18 @@ def record(samples: list[Sample], outcomes: list[Outcome], tmp_path: Path) -> Ca
         family: str | None = FAMILY,
         **more: Any,
     ) -> Path:
-        values = twin_values("twin", {"candidates": "family.yaml", **(parameters or {})}) | (unknown or {})
-        return write_judged(tmp_path / "run", samples, outcomes, values, change=change, family=family, **more)
+        values = twin_values(
+            "twin", {"candidates": "family.yaml", **(parameters or {})}
+        ) | (unknown or {})
+        return write_judged(
+            tmp_path / "run",
+            samples,
+            outcomes,
+            values,
+            change=change,
+            family=family,
+            **more,
+        )
 
     return write
 
@@ -86,10 +105,16 @@ def test_a_session_of_a_plant_with_two_loops_is_identical(tmp_path: Path) -> Non
     steps = list(run(21, "nothing", 450))
     twin = Twin(TwinSettings.of(TCLabBoth, law=None))
     values = twin_values("twin", {"plant": TCLabBoth.name, "loop": "unknown"})
-    folder = write_judged(tmp_path / "run", steps, [twin.push(sample) for sample in steps], values)
+    folder = write_judged(
+        tmp_path / "run", steps, [twin.push(sample) for sample in steps], values
+    )
     verification = verify_session(folder)
     assert verification.identical
-    assert (verification.verdicts > 5, verification.matches, verification.notes) == (True, 2, ())
+    assert (verification.verdicts > 5, verification.matches, verification.notes) == (
+        True,
+        2,
+        (),
+    )
 
 
 def test_a_verdict_may_be_due_at_a_lost_sample(
@@ -99,18 +124,29 @@ def test_a_verdict_may_be_due_at_a_lost_sample(
     received = [sample for sample in samples[:480] if sample.index not in due]
     twin = Twin(TwinSettings(), parse_candidates(FAMILY, "family"))
     outcomes_with_gaps = [twin.push(sample) for sample in received]
-    assert {verdict.sample for outcome in outcomes_with_gaps for verdict in outcome.verdicts} & due
+    assert {
+        verdict.sample for outcome in outcomes_with_gaps for verdict in outcome.verdicts
+    } & due
     values = twin_values("twin", {"candidates": "family.yaml"})
     stamps = twin.discriminator.stamps
     verification = verify_session(
-        write_judged(tmp_path / "run", received, outcomes_with_gaps, values, family=FAMILY, stamps=stamps)
+        write_judged(
+            tmp_path / "run",
+            received,
+            outcomes_with_gaps,
+            values,
+            family=FAMILY,
+            stamps=stamps,
+        )
     )
     assert verification.identical
     assert verification.verdicts > 5
 
 
 @pytest.fixture
-def judged(samples: list[Sample], outcomes: list[Outcome], monkeypatch: pytest.MonkeyPatch) -> list[Terms]:
+def judged(
+    samples: list[Sample], outcomes: list[Outcome], monkeypatch: pytest.MonkeyPatch
+) -> list[Terms]:
     """Saves the judging where only the comparison is of interest, or the terms by which would be judged."""
     given_terms: list[Terms] = []
     verdicts = tuple(v for o in outcomes for v in o.verdicts)
@@ -159,7 +195,13 @@ def spoil_level(_matches: list[Any], scores: list[Any]) -> None:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (spoil_score, ["verdict", "candidate a guess: candidates[1].orders[2].y.naic was recorded as"]),
+        (
+            spoil_score,
+            [
+                "verdict",
+                "candidate a guess: candidates[1].orders[2].y.naic was recorded as",
+            ],
+        ),
         (spoil_match, ["match 1 at sample", "parameters.seebeck was recorded as"]),
         (spoil_stamp, ["verdict 1 at sample", "stamp was recorded as"]),
         (spoil_level, ["verdict 3 at sample", "level_name was recorded as 'trusted?'"]),
@@ -168,7 +210,10 @@ def spoil_level(_matches: list[Any], scores: list[Any]) -> None:
             lambda _, scores: scores.append(scores[-1]),
             ["all of it was recorded as 'there' and is 'absent' now"],
         ),
-        (lambda _, scores: scores.__delitem__(slice(3, None)), ["verdict 4", "'absent' and is 'there' now"]),
+        (
+            lambda _, scores: scores.__delitem__(slice(3, None)),
+            ["verdict 4", "'absent' and is 'there' now"],
+        ),
     ],
 )
 def test_a_single_bit_is_found(
@@ -184,14 +229,20 @@ def test_a_single_bit_is_found(
 
 
 @pytest.mark.usefixtures("judged")
-def test_a_last_verdict_may_have_come_too_late_for_the_recorder(record: Callable[..., Path]) -> None:
+def test_a_last_verdict_may_have_come_too_late_for_the_recorder(
+    record: Callable[..., Path],
+) -> None:
     verification = verify_session(record(lambda _, scores: scores.pop()))
     assert verification.identical
-    assert verification.notes == ("1 verdict at the very end came after the recording had stopped",)
+    assert verification.notes == (
+        "1 verdict at the very end came after the recording had stopped",
+    )
 
 
 @pytest.mark.usefixtures("judged")
-def test_sentences_may_be_worded_better_by_a_later_version(record: Callable[..., Path]) -> None:
+def test_sentences_may_be_worded_better_by_a_later_version(
+    record: Callable[..., Path],
+) -> None:
     def word(matches: list[Any], scores: list[Any]) -> None:
         matches[0].suggestion = "A step up, please."
         scores[0].reason = "There was nothing to judge."
@@ -204,9 +255,13 @@ def test_sentences_may_be_worded_better_by_a_later_version(record: Callable[...,
 
 
 @pytest.mark.usefixtures("judged")
-def test_a_match_that_was_published_twice_is_compared_once(record: Callable[..., Path]) -> None:
+def test_a_match_that_was_published_twice_is_compared_once(
+    record: Callable[..., Path],
+) -> None:
     """The discriminator may have asked again just when the answer came."""
-    verification = verify_session(record(lambda matches, _: matches.insert(1, matches[0])))
+    verification = verify_session(
+        record(lambda matches, _: matches.insert(1, matches[0]))
+    )
     assert verification.identical
     assert verification.matches == 2
 
@@ -220,12 +275,18 @@ def test_other_parameters_give_other_verdicts(record: Callable[..., Path]) -> No
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"change": lambda _, scores: scores.clear()}, "has no verdicts on /twin/model_score"),
+        (
+            {"change": lambda _, scores: scores.clear()},
+            "has no verdicts on /twin/model_score",
+        ),
         (
             {"nodes": ("/matcher",)},
             "the parameters of /discriminator were not recorded; give them with --config",
         ),
-        ({"family": None}, "from family.yaml, were not recorded; give them with --candidates"),
+        (
+            {"family": None},
+            "from family.yaml, were not recorded; give them with --candidates",
+        ),
         ({"family": ""}, "were not recorded"),
     ],
 )
@@ -241,7 +302,9 @@ def test_what_cannot_be_verified_is_said(
 
 def test_parameters_of_another_version_are_said(record: Callable[..., Path]) -> None:
     folder = record(unknown={"schedule.hurry": 3})
-    with pytest.raises(TermsError, match=r"cannot be used: .*there is no parameter schedule.hurry"):
+    with pytest.raises(
+        TermsError, match=r"cannot be used: .*there is no parameter schedule.hurry"
+    ):
         verify_session(folder)
 
 
@@ -265,11 +328,16 @@ def test_files_stand_in_for_what_was_not_recorded(
     verify_session(folder, config=config, candidates=family)
     verify_session(folder, config=config)
     assert [terms.settings.decimals for terms in judged] == [1, 1]
-    assert [[candidate.name for candidate in terms.given] for terms in judged] == [["a guess"], []]
+    assert [[candidate.name for candidate in terms.given] for terms in judged] == [
+        ["a guess"],
+        [],
+    ]
 
 
 def test_recorded_parameters_have_to_be_json() -> None:
-    with pytest.raises(SessionError, match="the recorded parameters of /matcher cannot be read"):
+    with pytest.raises(
+        SessionError, match="the recorded parameters of /matcher cannot be read"
+    ):
         parameters_of({parameters_record("/matcher"): {"seed": "seven"}}, "/matcher")
 
 
@@ -284,14 +352,19 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
-def test_parameters_say_that_the_loop_is_not_known(config: Path, tmp_path: Path) -> None:
+def test_parameters_say_that_the_loop_is_not_known(
+    config: Path, tmp_path: Path
+) -> None:
     settings = read_settings(config)
     assert settings == TwinSettings.of(Peltier, law=None)
     assert settings_from(twin_values("again", values_of(settings))) == settings
     assert "pid.proportional" not in values_of(settings)
     wrong = tmp_path / "wrong.yaml"
     for line in ("pid.integral: 0.6", "schedule.min_input_step: 2.0"):
-        wrong.write_text(f"/**:\n  ros__parameters:\n    loop: unknown\n    {line}\n", encoding="utf-8")
+        wrong.write_text(
+            f"/**:\n  ros__parameters:\n    loop: unknown\n    {line}\n",
+            encoding="utf-8",
+        )
         assert main(["replay", str(SHIPPED), "--config", str(wrong)]) == 2
 
 
@@ -301,15 +374,32 @@ def test_a_recorded_session_is_verified_bit_for_bit(tmp_path: Path) -> None:
     settings = TwinSettings.of(Peltier, law=None)
     twin = Twin(settings)
     outcomes = [twin.push(sample) for sample in samples]
-    verification = verify_session(write_judged(tmp_path / "run", samples, outcomes, values_of(settings)))
+    verification = verify_session(
+        write_judged(tmp_path / "run", samples, outcomes, values_of(settings))
+    )
     assert verification.identical
     assert verification.matches >= 2
 
 
-def test_a_forecast_is_asked_for_under_inputs(config: Path, capsys: Any, tmp_path: Path) -> None:
+def test_a_forecast_is_asked_for_under_inputs(
+    config: Path, capsys: Any, tmp_path: Path
+) -> None:
     session = write_session(tmp_path / "quarter", quarter_of_an_hour())
     asked = ["forecast", str(session), "--config", str(config), "--at", "480"]
-    assert main([*asked, "--hold", "80", "--horizon", "60", "--json", str(tmp_path / "f.json")]) == 0
+    assert (
+        main(
+            [
+                *asked,
+                "--hold",
+                "80",
+                "--horizon",
+                "60",
+                "--json",
+                str(tmp_path / "f.json"),
+            ]
+        )
+        == 0
+    )
     printed = capsys.readouterr().out
     assert "80 PWM held" in printed
     assert "the loop is not known: the forecast is for the given inputs" in printed
@@ -322,7 +412,10 @@ def test_a_forecast_is_asked_for_under_inputs(config: Path, capsys: Any, tmp_pat
     assert "% of the temperature" in printed
     assert "nan" not in printed
     assert main([*asked, "--hold", "900"]) == 2
-    assert "the input now is 900 PWM; give one from -255 to 255 PWM" in capsys.readouterr().err
+    assert (
+        "the input now is 900 PWM; give one from -255 to 255 PWM"
+        in capsys.readouterr().err
+    )
 
 
 def test_a_session_with_a_verdict_that_a_defect_prevented_is_verified(

@@ -17,5 +17,7 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "README.md"):
         shutil.copy(PROJECT / name, copy)
     for name in ("src/twinmatch", "camera_server/src", "config", "resource"):
-        shutil.copytree(PROJECT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            PROJECT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__")
+        )
     return copy

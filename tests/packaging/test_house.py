@@ -20,7 +20,9 @@ TOOLS = Path(sys.executable).parent
     [
         pytest.param(["ruff", "check", "."], id="ruff"),
         pytest.param(["ruff", "format", "--check", "."], id="format"),
-        pytest.param(["mypy"], id="types", marks=pytest.mark.long("the types of everything")),
+        pytest.param(
+            ["mypy"], id="types", marks=pytest.mark.long("the types of everything")
+        ),
         pytest.param(["lint-imports"], id="layers"),
     ],
 )
@@ -28,21 +30,40 @@ def test_house_rules_hold(command: list[str]) -> None:
     tool = TOOLS / command[0]
     if not tool.exists():
         pytest.skip(f"{command[0]} is not installed; it is in the extra 'test'")
-    completed = subprocess.run([tool, *command[1:]], cwd=PROJECT, capture_output=True, text=True, check=False)
+    completed = subprocess.run(
+        [tool, *command[1:]], cwd=PROJECT, capture_output=True, text=True, check=False
+    )
     assert completed.returncode == 0, completed.stdout + completed.stderr
 
 
 def test_a_class_name_means_one_thing() -> None:
     names = Counter[str]()
     for path in (PROJECT / "src/twinmatch").rglob("*.py"):
-        names.update(re.findall(r"^class (\w+)", path.read_text(encoding="utf-8"), re.MULTILINE))
+        names.update(
+            re.findall(r"^class (\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)
+        )
     assert len(names) > 500
     assert [name for name, count in names.items() if count > 1] == []
 
 
-SLOW = ("scipy.signal", "scipy.stats", "sympy", "matplotlib", "control", "pint", "bokeh", "pandas")
+SLOW = (
+    "scipy.signal",
+    "scipy.stats",
+    "sympy",
+    "matplotlib",
+    "control",
+    "pint",
+    "bokeh",
+    "pandas",
+)
 """Modules that take up to two seconds to import: only what needs one imports it, when it does."""
-LATER = ("scipy.linalg", "twinmatch.fmu", "sympy", "concurrent.futures.process", "mcap.writer")
+LATER = (
+    "scipy.linalg",
+    "twinmatch.fmu",
+    "sympy",
+    "concurrent.futures.process",
+    "mcap.writer",
+)
 """What the start of a command that judges, or of the node that does, must not import: few runs need it."""
 PAGE = "twinmatch.showing.page"
 """The program of the live page draws with Bokeh, and nothing else."""
@@ -73,17 +94,27 @@ def test_no_command_and_no_node_waits_for_modules_that_others_need() -> None:
     """Every module but those of the page is imported, so also what a command or a node imports later; the
     arithmetic of plants with several loops is not imported for those with one."""
     completed = subprocess.run(
-        [sys.executable, "-c", IMPORT_ALL], cwd=PROJECT, capture_output=True, text=True, check=True
+        [sys.executable, "-c", IMPORT_ALL],
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert completed.stdout.split("\n") == ["False", "True", ""]
 
 
-@pytest.mark.parametrize("module", ["twinmatch.cli.replay", "twinmatch.twin.engine", "twinmatch.nodes.twin"])
+@pytest.mark.parametrize(
+    "module", ["twinmatch.cli.replay", "twinmatch.twin.engine", "twinmatch.nodes.twin"]
+)
 def test_a_start_imports_nothing_that_few_runs_need(module: str) -> None:
     if module.startswith("twinmatch.nodes"):
         pytest.importorskip("rclpy")
     program = f"import sys, {module}; print(sorted(set({LATER}) & set(sys.modules)))"
     completed = subprocess.run(
-        [sys.executable, "-c", program], cwd=PROJECT, capture_output=True, text=True, check=True
+        [sys.executable, "-c", program],
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert completed.stdout == "[]\n"

@@ -30,7 +30,9 @@ else:
     import tomli as tomllib
 
 SCRIPTS = re.findall(
-    r'^(\w+) = "(twinmatch\.\S+):main"', (PROJECT / "pyproject.toml").read_text(), re.MULTILINE
+    r'^(\w+) = "(twinmatch\.\S+):main"',
+    (PROJECT / "pyproject.toml").read_text(),
+    re.MULTILINE,
 )
 
 
@@ -47,30 +49,74 @@ def colcon() -> str:
 
 
 def test_colcon_installs_the_nodes(colcon: str, sources: Path, tmp_path: Path) -> None:
-    ours = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "VIRTUAL_ENV", "PYTHONPATH")
+    ours = (
+        "LD_LIBRARY_PATH",
+        "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
+        "VIRTUAL_ENV",
+        "PYTHONPATH",
+    )
     environment = {k: v for k, v in os.environ.items() if k not in ours}
     environment["PATH"] = os.pathsep.join(
-        folder for folder in environment["PATH"].split(os.pathsep) if not folder.startswith(sys.prefix)
+        folder
+        for folder in environment["PATH"].split(os.pathsep)
+        if not folder.startswith(sys.prefix)
     )
     folders = [f"--build-base={tmp_path}/build", f"--install-base={tmp_path}/install"]
-    command = [colcon, f"--log-base={tmp_path}/log", "build", "--paths", str(sources), *folders]
+    command = [
+        colcon,
+        f"--log-base={tmp_path}/log",
+        "build",
+        "--paths",
+        str(sources),
+        *folders,
+    ]
     completed = subprocess.run(
-        command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
+        command,
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert completed.returncode == 0, completed.stdout + completed.stderr
     installed = tmp_path / "install" / "twinmatch"
-    assert {path.name for path in (installed / "lib" / "twinmatch").iterdir()} == dict(SCRIPTS).keys()
+    assert {path.name for path in (installed / "lib" / "twinmatch").iterdir()} == dict(
+        SCRIPTS
+    ).keys()
     assert (installed / "share" / "twinmatch" / "package.xml").exists()
-    assert (installed / "share" / "ament_index" / "resource_index" / "packages" / "twinmatch").exists()
+    assert (
+        installed
+        / "share"
+        / "ament_index"
+        / "resource_index"
+        / "packages"
+        / "twinmatch"
+    ).exists()
 
 
 def test_colcon_finds_both_packages_where_the_page_says(colcon: str) -> None:
     page = (PROJECT / "docs" / "ros.md").read_text(encoding="utf-8")
     (named,) = re.findall(r"^colcon build --base-paths (.*)$", page, re.MULTILINE)
-    folders = [str(PROJECT / Path(name).relative_to("src/twinmatch")) for name in named.split()]
-    environment = {k: v for k, v in os.environ.items() if k not in ("LD_LIBRARY_PATH", "PYTHONPATH")}
-    command = [colcon, "--log-base", os.devnull, "list", "--names-only", "--base-paths", *folders]
-    completed = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    folders = [
+        str(PROJECT / Path(name).relative_to("src/twinmatch")) for name in named.split()
+    ]
+    environment = {
+        k: v
+        for k, v in os.environ.items()
+        if k not in ("LD_LIBRARY_PATH", "PYTHONPATH")
+    }
+    command = [
+        colcon,
+        "--log-base",
+        os.devnull,
+        "list",
+        "--names-only",
+        "--base-paths",
+        *folders,
+    ]
+    completed = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=True
+    )
     assert completed.stdout.split() == ["twinmatch", "twinmatch_msgs"]
 
 
@@ -78,24 +124,43 @@ def test_package_xml_names_what_pyproject_needs() -> None:
     """By rosdep's keys, or in the sentence that says what pip has to install."""
     text = (PROJECT / "package.xml").read_text(encoding="utf-8")
     documented = text + (PROJECT / "docs" / "ros.md").read_text(encoding="utf-8")
-    block = (PROJECT / "pyproject.toml").read_text().split("\ndependencies = [")[1].split("]")[0]
+    block = (
+        (PROJECT / "pyproject.toml")
+        .read_text()
+        .split("\ndependencies = [")[1]
+        .split("]")[0]
+    )
     names = [name.lower() for name in re.findall(r'"([\w-]+)', block)]
     assert "numpy" in names
     keys = {"pyserial": "python3-serial", "pyyaml": "python3-yaml"}
     documented = re.sub(r'"|<[\d.]+', " ", documented)
-    missing = [n for n in names if keys.get(n, f"python3-{n}") not in text and f" {n} " not in documented]
+    missing = [
+        n
+        for n in names
+        if keys.get(n, f"python3-{n}") not in text and f" {n} " not in documented
+    ]
     assert not missing
 
 
 @pytest.mark.parametrize("version", ["3.10", "3.11", "3.12", "3.13"])
-@pytest.mark.parametrize(("release", "other_extra"), [("jazzy", "ros-kilted"), ("kilted", "ros")])
+@pytest.mark.parametrize(
+    ("release", "other_extra"), [("jazzy", "ros-kilted"), ("kilted", "ros")]
+)
 def test_constraints_name_a_version_of_everything_that_pyproject_asks_for(
     release: str, other_extra: str, version: str
 ) -> None:
     """For every Python, and one that pyproject.toml agrees with."""
     environment = {
-        **{"python_version": version, "python_full_version": f"{version}.9", "sys_platform": "linux"},
-        **{"platform_machine": "x86_64", "implementation_name": "cpython", "os_name": "posix"},
+        **{
+            "python_version": version,
+            "python_full_version": f"{version}.9",
+            "sys_platform": "linux",
+        },
+        **{
+            "platform_machine": "x86_64",
+            "implementation_name": "cpython",
+            "os_name": "posix",
+        },
     }
 
     def asked(lines: list[str]) -> list[Requirement]:
@@ -106,13 +171,32 @@ def test_constraints_name_a_version_of_everything_that_pyproject_asks_for(
             if requirement.marker is None or requirement.marker.evaluate(environment)
         ]
 
-    lines = (PROJECT / "constraints" / f"{release}.txt").read_text(encoding="utf-8").splitlines()
-    assert all(re.match(r"[a-z0-9-]+==[\w.]+( ;|$)", line) for line in lines), "names and versions only"
-    pinned = {canonicalize_name(requirement.name): requirement.specifier for requirement in asked(lines)}
+    lines = (
+        (PROJECT / "constraints" / f"{release}.txt")
+        .read_text(encoding="utf-8")
+        .splitlines()
+    )
+    assert all(re.match(r"[a-z0-9-]+==[\w.]+( ;|$)", line) for line in lines), (
+        "names and versions only"
+    )
+    pinned = {
+        canonicalize_name(requirement.name): requirement.specifier
+        for requirement in asked(lines)
+    }
     assert len(pinned) == len(asked(lines)), "one version of each"
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))
-    extras = {k: v for k, v in project["project"]["optional-dependencies"].items() if k != other_extra}
-    wanted = asked([*project["build-system"]["requires"], *project["project"]["dependencies"], "uv"])
+    extras = {
+        k: v
+        for k, v in project["project"]["optional-dependencies"].items()
+        if k != other_extra
+    }
+    wanted = asked(
+        [
+            *project["build-system"]["requires"],
+            *project["project"]["dependencies"],
+            "uv",
+        ]
+    )
     wanted += [
         requirement
         for lines in extras.values()
@@ -140,7 +224,10 @@ def test_a_program_that_there_is_not_is_answered_with_those_there_are() -> None:
     command = [sys.executable, "-m", "twinmatch.nodes", "playr"]
     completed = subprocess.run(command, capture_output=True, text=True, check=False)
     assert completed.returncode == 2
-    assert re.fullmatch(r"usage: python -m twinmatch\.nodes \{.*player,.*\} \[--help\]\n", completed.stderr)
+    assert re.fullmatch(
+        r"usage: python -m twinmatch\.nodes \{.*player,.*\} \[--help\]\n",
+        completed.stderr,
+    )
 
 
 @pytest.mark.parametrize("folder", [".", "src/twinmatch_msgs"])
@@ -174,12 +261,18 @@ def test_on_a_complete_machine_nothing_is_reported_missing(machine: ModuleType) 
         ((sys, "version_info", (3, 14, 0)), r"Python 3\.14 at .*; use 3\.10 to 3\.13"),
         ((platform, "machine", lambda: "aarch64"), "linux on aarch64"),
         ((shutil, "which", lambda _: None), r"apt-get install g\+\+"),
-        ((Path, "exists", lambda _: False), re.escape(str(Path(sysconfig.get_path("include")) / "Python.h"))),
+        (
+            (Path, "exists", lambda _: False),
+            re.escape(str(Path(sysconfig.get_path("include")) / "Python.h")),
+        ),
     ],
     ids=["older Python", "newer Python", "processor", "compiler", "headers"],
 )
 def test_what_a_machine_lacks_is_named(
-    machine: ModuleType, monkeypatch: pytest.MonkeyPatch, change: tuple[Any, str, object], words: str
+    machine: ModuleType,
+    monkeypatch: pytest.MonkeyPatch,
+    change: tuple[Any, str, object],
+    words: str,
 ) -> None:
     monkeypatch.setattr(*change)
     assert re.search(words, machine.missing())
@@ -191,12 +284,16 @@ PACKAGE = PROJECT / "src" / "twinmatch_msgs"
 SOURCES = sorted((PACKAGE / "msg").glob("*.msg"))
 SERVICES = sorted((PACKAGE / "srv").glob("*.srv"))
 
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
 
 
 @pytest.mark.parametrize("source", SOURCES + SERVICES, ids=lambda path: path.stem)
 def test_installed_message_is_up_to_date(source: Path) -> None:
-    installed = Path(sys.prefix) / "share" / "twinmatch_msgs" / source.parent.name / source.name
+    installed = (
+        Path(sys.prefix) / "share" / "twinmatch_msgs" / source.parent.name / source.name
+    )
     if not installed.exists():
         pytest.skip("twinmatch_msgs comes from elsewhere than this environment")
     assert installed.read_text() == source.read_text(), "run make setup"
@@ -241,7 +338,9 @@ for name in ("one", "two"):
     node.destroy_node()
 rclpy.shutdown()
 """
-    completed = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    completed = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
     assert (completed.returncode, completed.stdout, completed.stderr) == (0, "", "")
 
 

@@ -25,7 +25,10 @@ from tests.support.places import PROJECT
 from tests.support.processes import Processes
 from tests.support.waiting import PATIENCE
 
-pytestmark = [pytest.mark.ros, pytest.mark.long("builds wheels and installs them in another environment")]
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.long("builds wheels and installs them in another environment"),
+]
 
 
 PATIENT = 4 * PATIENCE  # kernels may be compiled first
@@ -63,11 +66,16 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def programs(installed: Path, tmp_path: Path) -> Iterator[Processes]:
     """Starts programs of that environment in an empty folder."""
     inherited = {
-        name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("PYTHONPATH", "VIRTUAL_ENV")
     }
     path = os.pathsep.join([str(installed), "/usr/bin", "/bin"])
     # Where the messages of the libraries lie, which are in the environment of the tests.
-    started = Processes(tmp_path / "output", {**inherited, "PATH": path, "AMENT_PREFIX_PATH": sys.prefix})
+    started = Processes(
+        tmp_path / "output",
+        {**inherited, "PATH": path, "AMENT_PREFIX_PATH": sys.prefix},
+    )
     yield started
     started.dismiss()
 
@@ -75,7 +83,10 @@ def programs(installed: Path, tmp_path: Path) -> Iterator[Processes]:
 def test_the_wheel_carries_share_and_profile(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = {name.split(".data/data/")[-1] for name in archive.namelist()}
-    shared = [*(PROJECT / "config").iterdir(), *(PROJECT / "camera_server" / "src").rglob("*.py")]
+    shared = [
+        *(PROJECT / "config").iterdir(),
+        *(PROJECT / "camera_server" / "src").rglob("*.py"),
+    ]
     assert names >= {f"share/twinmatch/{path.relative_to(PROJECT)}" for path in shared}
     assert names >= {
         "share/twinmatch/package.xml",
@@ -86,7 +97,9 @@ def test_the_wheel_carries_share_and_profile(wheel: Path) -> None:
     }
 
 
-def test_code_and_files_are_those_of_the_wheel(installed: Path, programs: Processes, tmp_path: Path) -> None:
+def test_code_and_files_are_those_of_the_wheel(
+    installed: Path, programs: Processes, tmp_path: Path
+) -> None:
     code = (
         "import twinmatch, twinmatch_msgs; from twinmatch.shipped import shipped; "
         "print(twinmatch.__file__, shipped('camera_server/src'), shipped('config/rig.yaml'), sep='\\n')"
@@ -100,14 +113,27 @@ def test_code_and_files_are_those_of_the_wheel(installed: Path, programs: Proces
 def test_an_installed_program_begins_a_file_of_a_plant(
     installed: Path, programs: Processes, tmp_path: Path
 ) -> None:
-    process = programs.start(installed / "twinmatch", "new-plant", "tank", folder=tmp_path)
+    process = programs.start(
+        installed / "twinmatch", "new-plant", "tank", folder=tmp_path
+    )
     assert process.wait() == 0, process.text
     assert (tmp_path / "tank.py").exists()
 
 
-def test_the_virtual_rig_runs_live_until_ctrl_c(installed: Path, programs: Processes, tmp_path: Path) -> None:
+def test_the_virtual_rig_runs_live_until_ctrl_c(
+    installed: Path, programs: Processes, tmp_path: Path
+) -> None:
     """Camera program, stand-in of the board, bridges, controller, twin and recorder."""
-    words = ["live", "--virtual", "--speed", "2", "--board", "python", "--session", "first"]
+    words = [
+        "live",
+        "--virtual",
+        "--speed",
+        "2",
+        "--board",
+        "python",
+        "--session",
+        "first",
+    ]
     process = programs.start(installed / "twinmatch", *words, folder=tmp_path)
     process.said("recording into", patience=PATIENT)
     process.said(r"level +decided", patience=PATIENT)

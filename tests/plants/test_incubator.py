@@ -37,16 +37,24 @@ def rms(errors: FloatArray) -> float:
 def rms_left(twin: Parameters, window: Window, starts: dict[str, float]) -> float:
     """What a twin driven by a run's heater leaves of all its readings but two, RMS, °C."""
     runs = Experiment(twin, (), window, free_starts=tuple(starts))
-    return rms(window.output[2:] - runs.simulate(np.array(list(starts.values()))).output)
+    return rms(
+        window.output[2:] - runs.simulate(np.array(list(starts.values()))).output
+    )
 
 
-def judged(twin: Parameters, window: Window, samples: int, free: tuple[str, ...]) -> float:
+def judged(
+    twin: Parameters, window: Window, samples: int, free: tuple[str, ...]
+) -> float:
     """The same on a run the twin was not fitted to; some states at its start from its first samples."""
     begun = Experiment(twin, (), window.part(0, samples - 1), free_starts=free)
     states = twin.model.plant.states
     box = np.array([states[n].start_bounds or states[n].span for n in free]).T
     minimum = begun.descend(
-        begun.values_of(twin), box[0], box[1], np.array([states[n].scale for n in free]), 100
+        begun.values_of(twin),
+        box[0],
+        box[1],
+        np.array([states[n].scale for n in free]),
+        100,
     )
     assert minimum.converged
     return rms_left(twin, window, dict(zip(free, minimum.values.tolist(), strict=True)))
@@ -63,7 +71,11 @@ plants = st.builds(
 )
 
 
-@given(plant=plants, start=st.tuples(st.floats(15.0, 50.0), st.floats(15.0, 90.0)), on=st.floats(0.0, 1.0))
+@given(
+    plant=plants,
+    start=st.tuples(st.floats(15.0, 50.0), st.floats(15.0, 90.0)),
+    on=st.floats(0.0, 1.0),
+)
 @settings(max_examples=25)
 def test_four_parameters_are_the_authors_equations(
     plant: Parameters, start: tuple[float, float], on: float
@@ -77,7 +89,10 @@ def test_four_parameters_are_the_authors_equations(
     def theirs(_: float, x: FloatArray) -> list[float]:
         inside, heater = x
         to_air = g_heater * (heater - inside)
-        return [(to_air - g_box * (inside - 21.5)) / c_air, (plant["power"] * on - to_air) / c_heater]
+        return [
+            (to_air - g_box * (inside - 21.5)) / c_air,
+            (plant["power"] * on - to_air) / c_heater,
+        ]
 
     states = np.array(start)
     for _ in range(20):
@@ -87,7 +102,9 @@ def test_four_parameters_are_the_authors_equations(
 
 
 @pytest.mark.parametrize("structure", list(Incubator.structures))
-def test_left_alone_all_of_it_comes_to_the_temperature_of_the_room(structure: str) -> None:
+def test_left_alone_all_of_it_comes_to_the_temperature_of_the_room(
+    structure: str,
+) -> None:
     plant = Incubator.model(structure).parameters()
     states = begin(plant, 40.0)
     for _ in range(3000):
@@ -121,12 +138,16 @@ def simulated(truth: Parameters, seed: int, size: int = 1000) -> Window:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_match_finds_a_simulated_incubator(seed: int) -> None:
     truth = HEAVY.parameters(
-        bed_heat_capacity=150.0, bed_conductance=0.6, box_conductance=0.95, box_heat_capacity=18e3
+        bed_heat_capacity=150.0,
+        bed_conductance=0.6,
+        box_conductance=0.95,
+        box_heat_capacity=18e3,
     )
     a_match = match(simulated(truth, seed), start=HEAVY.parameters())
     assert a_match.status is Status.ACCEPTED
     for name in HEAVY.structure.free:
-        error = 0.15 if name == "box_heat_capacity" else 0.03  # walls move by a degree in the run
+        # walls move by a degree in the run
+        error = 0.15 if name == "box_heat_capacity" else 0.03
         assert a_match.parameters[name] == pytest.approx(truth[name], rel=error), name
 
 
@@ -165,7 +186,10 @@ def test_their_own_structure_fitted_to_both_runs_leaves_less_than_theirs(
     """Least squares on all samples would leave 0.46 and 0.30; here large errors count by their size."""
     runs = [run(FIRST), run(SECOND)]
     fit = fitted("four parameters", *runs)
-    figures = [rms_left(fit.parameters, w, dict(s)) for w, s in zip(runs, fit.starts, strict=True)]
+    figures = [
+        rms_left(fit.parameters, w, dict(s))
+        for w, s in zip(runs, fit.starts, strict=True)
+    ]
     assert figures[0] <= 0.50 < THEIRS[FIRST, 4]
     assert figures[1] <= 0.35 < THEIRS[SECOND, 4]
 
@@ -173,31 +197,45 @@ def test_their_own_structure_fitted_to_both_runs_leaves_less_than_theirs(
 def test_a_box_with_mass_leaves_a_third_of_that(run: Callable[[str], Window]) -> None:
     runs = [run(FIRST), run(SECOND)]
     fit = fitted("box with mass", *runs)
-    figures = [rms_left(fit.parameters, w, dict(s)) for w, s in zip(runs, fit.starts, strict=True)]
+    figures = [
+        rms_left(fit.parameters, w, dict(s))
+        for w, s in zip(runs, fit.starts, strict=True)
+    ]
     assert figures[0] <= 0.10
     assert figures[1] <= 0.15
 
 
-def test_the_data_justify_walls_with_mass_and_the_sensors_lag(run: Callable[[str], Window]) -> None:
+def test_the_data_justify_walls_with_mass_and_the_sensors_lag(
+    run: Callable[[str], Window],
+) -> None:
     """Which structure the runs need is what the authors left open."""
     models = [Incubator.model(name) for name in Incubator.structures]
     choice = choose_structure([run(FIRST), run(SECOND)], models)
     assert choice.chosen == "box with mass, sensor lag"
     order = sorted(choice.scores, key=lambda s: s.off)
     names = [s.name for s in order]
-    assert names.index("box with mass") < names.index("air and bed") < names.index("two parameters")
-    assert names.index("air and bed") < names.index("four parameters")  # the data do not justify the fourth
+    assert (
+        names.index("box with mass")
+        < names.index("air and bed")
+        < names.index("two parameters")
+    )
+    # the data do not justify the fourth
+    assert names.index("air and bed") < names.index("four parameters")
 
 
-def test_a_twin_of_one_run_forecasts_the_other_run(run: Callable[[str], Window]) -> None:
+def test_a_twin_of_one_run_forecasts_the_other_run(
+    run: Callable[[str], Window],
+) -> None:
     """Fitted to the second and judged on the first; and the other way round."""
     first = run(FIRST)
     second = run(SECOND)
     theirs = fitted("four parameters", second).parameters
     assert judged(theirs, first, 40, ("bed",)) <= 0.58
     boxed = fitted("box with mass", second).parameters
-    assert judged(boxed, first, 40, ("bed",)) <= 0.50  # the box as warm as the first reading
-    assert judged(boxed, first, 200, ("bed", "box")) <= 0.25  # the box from the first ten minutes
+    # the box as warm as the first reading
+    assert judged(boxed, first, 40, ("bed",)) <= 0.50
+    # the box from the first ten minutes
+    assert judged(boxed, first, 200, ("bed", "box")) <= 0.25
     back = fitted("box with mass", first).parameters
     assert judged(back, second, 40, ("bed",)) <= 0.25
 
@@ -208,7 +246,11 @@ def test_the_gate_says_that_the_first_run_does_not_determine_four_parameters(
     """Fitted all the same, they leave 1.1 °C and more on the second run."""
     a_match = match(run(FIRST), start=PUBLISHED.parameters())
     assert a_match.status is not Status.ACCEPTED
-    assert not set(a_match.believed) & {"air_heat_capacity", "bed_heat_capacity", "bed_conductance"}
+    assert not set(a_match.believed) & {
+        "air_heat_capacity",
+        "bed_heat_capacity",
+        "bed_conductance",
+    }
     assert "left open: air_heat_capacity" in a_match.determined
 
 

@@ -11,7 +11,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from tests.support.peltier_oracle import closed_tick, integrated, riccati_arrival, riccati_flow
+from tests.support.peltier_oracle import (
+    closed_tick,
+    integrated,
+    riccati_arrival,
+    riccati_flow,
+)
 from twinmatch.dynamics import (
     Controller,
     Parameters,
@@ -28,7 +33,9 @@ from twinmatch.signals import Window
 KELVIN = 273.15
 PLAIN = Peltier.model("held sink")
 MASSIVE = Peltier.model("sink with mass")
-RICHEST = Peltier.model("sink with mass, free ambient, switched drive, sensor lag, α(T)")
+RICHEST = Peltier.model(
+    "sink with mass, free ambient, switched drive, sensor lag, α(T)"
+)
 STEPS = np.repeat([40.0, 75.0, 25.0], 120)
 STRUCTURES = [
     PLAIN.parameters(),
@@ -41,13 +48,17 @@ FAST = 1e-6
 
 plates = {
     "seebeck": st.floats(0.01, 0.2),
-    "resistance": st.floats(0.5, 10.0),  # below about 2.3 Ω the limiter acts at full PWM
+    # below about 2.3 Ω the limiter acts at full PWM
+    "resistance": st.floats(0.5, 10.0),
     "conductance": st.floats(0.0, 2.0),
     "heat_capacity": st.floats(5.0, 150.0),
     "ambient": st.floats(263.0, 323.0),
     "drive_ripple": st.one_of(st.just(0.0), st.floats(0.0, 1.0)),
 }
-sinks = {"sink_heat_capacity": st.floats(20.0, 5000.0), "sink_convection": st.floats(0.0, 100.0)}
+sinks = {
+    "sink_heat_capacity": st.floats(20.0, 5000.0),
+    "sink_convection": st.floats(0.0, 100.0),
+}
 held = st.builds(PLAIN.parameters, **plates)
 massive = st.builds(MASSIVE.parameters, **plates, **sinks)
 richest = st.builds(
@@ -68,10 +79,15 @@ def allowed(*ways: float) -> float:
 
 @given(rig=held, plate=temperatures, pwm=pwms, period=st.floats(0.05, 20.0))
 @example(rig=PLAIN.parameters(seebeck=0.0), plate=300.0, pwm=255.0, period=1.0)
-@example(rig=PLAIN.parameters(seebeck=0.0, conductance=0.0), plate=300.0, pwm=0.0, period=1.0)
+@example(
+    rig=PLAIN.parameters(seebeck=0.0, conductance=0.0), plate=300.0, pwm=0.0, period=1.0
+)
 @example(rig=PLAIN.parameters(resistance=1.0), plate=296.0, pwm=255.0, period=10.0)
 @example(
-    rig=PLAIN.parameters(seebeck=0.2, resistance=2.2, heat_capacity=5.0), plate=290.0, pwm=255.0, period=2.0
+    rig=PLAIN.parameters(seebeck=0.2, resistance=2.2, heat_capacity=5.0),
+    plate=290.0,
+    pwm=255.0,
+    period=2.0,
 )
 def test_a_tick_on_a_held_sink_is_the_closed_solution(
     rig: Parameters, plate: float, pwm: float, period: float
@@ -95,12 +111,15 @@ def test_the_closed_solution_agrees_with_a_general_integrator(
 @pytest.mark.parametrize(
     ("plate", "pwm", "before", "after"),
     [
-        (292.0, 255.0, -1, 0),  # heating: the growing Seebeck voltage releases the limiter
+        # heating: the growing Seebeck voltage releases the limiter
+        (292.0, 255.0, -1, 0),
         (298.0, -255.0, 1, 0),  # cooling likewise
         (310.0, 255.0, 0, 0),
     ],
 )
-def test_the_limiter_switches_inside_a_tick(plate: float, pwm: float, before: int, after: int) -> None:
+def test_the_limiter_switches_inside_a_tick(
+    plate: float, pwm: float, before: int, after: int
+) -> None:
     rig = PLAIN.parameters(seebeck=0.05, resistance=2.29, heat_capacity=5.0)
 
     def limited(states: np.ndarray) -> int:
@@ -116,7 +135,11 @@ def test_the_limiter_switches_inside_a_tick(plate: float, pwm: float, before: in
 @given(rig=massive, plate=temperatures, sink=temperatures, pwm=pwms)
 @example(
     rig=MASSIVE.parameters(
-        seebeck=0.2, resistance=0.5, heat_capacity=5.0, sink_heat_capacity=20.0, sink_convection=1
+        seebeck=0.2,
+        resistance=0.5,
+        heat_capacity=5.0,
+        sink_heat_capacity=20.0,
+        sink_convection=1,
     ),
     plate=300.0,
     sink=340.0,
@@ -131,14 +154,18 @@ def test_a_sink_with_mass_is_integrated_closely(
     assert np.max(np.abs(advanced - exact)) <= allowed(*(exact - start), plate - sink)
 
 
-@given(rig=richest, plate=temperatures, sink=temperatures, sensor=temperatures, pwm=pwms)
+@given(
+    rig=richest, plate=temperatures, sink=temperatures, sensor=temperatures, pwm=pwms
+)
 def test_lag_slope_and_ripple_agree_with_a_general_integrator(
     rig: Parameters, plate: float, sink: float, sensor: float, pwm: float
 ) -> None:
     start = np.array([plate, sink, sensor])
     advanced = advance(rig, start, pwm, 2.0)
     exact = integrated(rig, start, pwm, 2.0)
-    assert np.max(np.abs(advanced - exact)) <= allowed(*(exact - start), plate - sink, plate - sensor)
+    assert np.max(np.abs(advanced - exact)) <= allowed(
+        *(exact - start), plate - sink, plate - sensor
+    )
 
 
 @pytest.mark.parametrize("number", [1, 2, 5, 9, 14, 20, 27])
@@ -167,12 +194,16 @@ def test_the_loop_over_recorded_set_points_is_exact_to_a_micro_kelvin(
 
 
 @given(rig=richest, plate=temperatures, sink=temperatures, pwm=pwms)
-def test_all_heat_flows_sum_to_zero(rig: Parameters, plate: float, sink: float, pwm: float) -> None:
+def test_all_heat_flows_sum_to_zero(
+    rig: Parameters, plate: float, sink: float, pwm: float
+) -> None:
     flows = quantities(rig, np.array([plate, sink, plate]), pwm)
     power = flows["voltage"] * flows["current"] + flows["ripple"]
     largest = max(abs(flows["from_plate"]), abs(flows["from_sink"]), abs(power))
     # `from_plate` and `from_sink` differ by the Thomson heat, which neither gains nor loses energy.
-    assert abs(flows["from_plate"] + flows["from_sink"] + power) <= 1e-12 * (largest + 1000.0)
+    assert abs(flows["from_plate"] + flows["from_sink"] + power) <= 1e-12 * (
+        largest + 1000.0
+    )
     assert abs(flows["current"]) <= rig["current_limit"]
 
 
@@ -190,10 +221,17 @@ def test_heat_flows_are_those_of_a_hand_calculation() -> None:
 def test_a_switched_drive_heats_as_its_pulses_do() -> None:
     # 2 Ω in the loop, 12 V for a quarter of the time, shorted otherwise: 6 A and 0 A.
     rig = PLAIN.parameters(
-        seebeck=0.0, resistance=1.9, conductance=0.0, drive_ripple=1.0, ambient=300.0, current_limit=100.0
+        seebeck=0.0,
+        resistance=1.9,
+        conductance=0.0,
+        drive_ripple=1.0,
+        ambient=300.0,
+        current_limit=100.0,
     )
     flows = quantities(rig, np.array([300.0]), 255.0 / 4)
-    assert flows["from_plate"] + flows["from_sink"] == pytest.approx(-0.25 * 6.0**2 * 1.9)
+    assert flows["from_plate"] + flows["from_sink"] == pytest.approx(
+        -0.25 * 6.0**2 * 1.9
+    )
     assert flows["current"] == pytest.approx(-1.5)
     assert quantities(rig, np.array([300.0]), 255.0)["ripple"] == 0.0
 
@@ -202,7 +240,10 @@ def test_the_camera_sees_the_lag() -> None:
     model = Peltier.model("sink with mass, sensor lag")
     sharp = MASSIVE.parameters()
     late = model.parameters(sensor_lag=4.0)
-    runs = [simulate_driven(rig, np.full(200, 100.0), states=begin(rig, 22.85)) for rig in (sharp, late)]
+    runs = [
+        simulate_driven(rig, np.full(200, 100.0), states=begin(rig, 22.85))
+        for rig in (sharp, late)
+    ]
     # A slow ramp arrives τ late.
     shifted = np.interp(np.arange(30.0, 60.0) - 4.0, np.arange(200.0), runs[0].output)
     np.testing.assert_allclose(runs[1].output[30:60], shifted, atol=0.3)
@@ -210,12 +251,17 @@ def test_the_camera_sees_the_lag() -> None:
 
 def test_a_sink_of_huge_mass_is_a_held_sink() -> None:
     heavy = MASSIVE.parameters(**{**PLAIN.parameters(), "sink_heat_capacity": 1e12})
-    runs = [simulate_closed_loop(rig, STEPS, states=begin(rig, 22.85)) for rig in (PLAIN.parameters(), heavy)]
+    runs = [
+        simulate_closed_loop(rig, STEPS, states=begin(rig, 22.85))
+        for rig in (PLAIN.parameters(), heavy)
+    ]
     np.testing.assert_allclose(runs[1].output, runs[0].output, atol=1e-6)
     np.testing.assert_allclose(runs[1].input, runs[0].input, atol=1e-4)
 
 
-@pytest.mark.parametrize("rig", [PLAIN.parameters(conductance=0.1), MASSIVE.parameters(conductance=0.35)])
+@pytest.mark.parametrize(
+    "rig", [PLAIN.parameters(conductance=0.1), MASSIVE.parameters(conductance=0.35)]
+)
 def test_without_current_the_plate_tends_to_the_room(rig: Parameters) -> None:
     response = simulate_driven(rig, np.zeros(8000), states=begin(rig, 76.85))
     assert np.all(np.diff(response.output) <= 0.0)
@@ -223,13 +269,18 @@ def test_without_current_the_plate_tends_to_the_room(rig: Parameters) -> None:
 
 
 @given(rig=held, plate=st.floats(270.0, 380.0), pwm=st.tuples(pwms, pwms))
-def test_more_pwm_is_warmer(rig: Parameters, plate: float, pwm: tuple[float, float]) -> None:
+def test_more_pwm_is_warmer(
+    rig: Parameters, plate: float, pwm: tuple[float, float]
+) -> None:
     # Only while heat per ampere is positive on the cooling side: α·T_A above the Joule heat R·I. The swing of
     # a switched current is largest at half PWM, so that its heat may fall while the PWM rises.
     rig = rig.replace(drive_ripple=0.0)
     low, high = sorted(pwm)
     states = np.array([plate])
-    if quantities(rig, states, low)["current"] * rig["resistance"] > 0.9 * rig["seebeck"] * plate:
+    if (
+        quantities(rig, states, low)["current"] * rig["resistance"]
+        > 0.9 * rig["seebeck"] * plate
+    ):
         return
     cold, warm = (advance(rig, states, value, 0.1)[0] for value in (low, high))
     assert warm >= cold - 1e-11
@@ -237,7 +288,9 @@ def test_more_pwm_is_warmer(rig: Parameters, plate: float, pwm: tuple[float, flo
 
 @pytest.mark.parametrize("rig", STRUCTURES)
 @pytest.mark.parametrize("seed", [None, 7])
-def test_ticks_in_python_repeat_the_simulation_to_the_last_bit(rig: Parameters, seed: int | None) -> None:
+def test_ticks_in_python_repeat_the_simulation_to_the_last_bit(
+    rig: Parameters, seed: int | None
+) -> None:
     sensor = None if seed is None else Peltier.sensor.realise(STEPS.size, 1.0, seed)
     states = begin(rig, 22.85)
     response = simulate_closed_loop(rig, STEPS, states=states, sensor=sensor)
@@ -245,7 +298,11 @@ def test_ticks_in_python_repeat_the_simulation_to_the_last_bit(rig: Parameters, 
     last = None
     for k, reference in enumerate(STEPS):
         assert states.tobytes() == response.states[k].tobytes()
-        last = read(rig, states) if sensor is None else sensor.reading(k, read(rig, states), last)
+        last = (
+            read(rig, states)
+            if sensor is None
+            else sensor.reading(k, read(rig, states), last)
+        )
         assert last == response.output[k]
         pwm = pid.step(reference, last)[0]
         assert pwm == response.input[k]
@@ -266,13 +323,21 @@ def test_other_periods_describe_the_same_rig() -> None:
     pwm = np.repeat([100.0, -50.0, 255.0], 60)
     rig = PLAIN.parameters()
     coarse = simulate_driven(rig, pwm, states=begin(rig, 22.85))
-    fine = simulate_driven(rig, np.repeat(pwm, 4), states=begin(rig, 22.85), period=0.25)
+    fine = simulate_driven(
+        rig, np.repeat(pwm, 4), states=begin(rig, 22.85), period=0.25
+    )
     np.testing.assert_allclose(fine.output[::4], coarse.output, atol=1e-6)
 
 
 @pytest.mark.parametrize(
     ("quadratic", "slope", "speed"),
-    [(-1.0, 0.3, 0.5), (-1.0, 0.2, -0.5), (0.0, 0.0, 2.0), (0.0, -1.0, 2.0), (0.3, 0.1, 0.2)],
+    [
+        (-1.0, 0.3, 0.5),
+        (-1.0, 0.2, -0.5),
+        (0.0, 0.0, 2.0),
+        (0.0, -1.0, 2.0),
+        (0.3, 0.1, 0.2),
+    ],
 )
 @pytest.mark.parametrize("time", [1e-6, 0.5, 1.3])
 def test_the_closed_solution_holds_what_it_says(
@@ -280,8 +345,15 @@ def test_the_closed_solution_holds_what_it_says(
 ) -> None:
     distance = riccati_flow(quadratic, slope, speed, time)
     run = solve_ivp(
-        lambda _t, y: quadratic * y**2 + slope * y + speed, (0, time), [0.0], "DOP853", rtol=1e-12, atol=1e-13
+        lambda _t, y: quadratic * y**2 + slope * y + speed,
+        (0, time),
+        [0.0],
+        "DOP853",
+        rtol=1e-12,
+        atol=1e-13,
     )
     assert distance == pytest.approx(run.y[0, -1], rel=1e-9)
-    assert riccati_arrival(quadratic, slope, speed, distance) == pytest.approx(time, rel=1e-12)
+    assert riccati_arrival(quadratic, slope, speed, distance) == pytest.approx(
+        time, rel=1e-12
+    )
     assert riccati_arrival(-1.0, 0.0, 1.0, 1.0 + 1e-9) == math.inf

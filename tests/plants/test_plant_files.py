@@ -16,7 +16,14 @@ from tests.support.plant_files import plant_file
 from tests.support.processes import no_plant_files
 from twinmatch.dynamics import Plant, PlantError, equations
 from twinmatch.dynamics.equations import at_most
-from twinmatch.plants import PLANTS, Peltier, files, find_plant, plant_named, written_name
+from twinmatch.plants import (
+    PLANTS,
+    Peltier,
+    files,
+    find_plant,
+    plant_named,
+    written_name,
+)
 from twinmatch.plants.files import _declared
 
 
@@ -30,15 +37,20 @@ def test_a_plant_is_found_by_its_file_and_then_by_its_name(tmp_path: Path) -> No
 
 
 def test_a_file_that_a_recording_names_is_not_run(tmp_path: Path) -> None:
-    path = plant_file(tmp_path, "block_told", ('"""A heated', 'open("ran", "w")\n"""A heated'))
+    path = plant_file(
+        tmp_path, "block_told", ('"""A heated', 'open("ran", "w")\n"""A heated')
+    )
     with pytest.raises(
-        PlantError, match=r"files are run only if you name them: add --plant .*block_told\.py"
+        PlantError,
+        match=r"files are run only if you name them: add --plant .*block_told\.py",
     ):
         plant_named(str(path))
     assert not (tmp_path / "ran").exists()
 
 
-def test_a_file_named_by_a_user_is_found_by_its_name_in_a_recording(tmp_path: Path) -> None:
+def test_a_file_named_by_a_user_is_found_by_its_name_in_a_recording(
+    tmp_path: Path,
+) -> None:
     plant = find_plant(str(plant_file(tmp_path, "block_recorded")))
     assert plant_named("/somebody/elses/folder/block_recorded.py") is plant
     assert plant_named("block_recorded") is plant
@@ -71,7 +83,9 @@ def test_an_edit_within_the_second_that_leaves_the_size_is_seen(tmp_path: Path) 
     path = plant_file(tmp_path, "block_edited")
     limits = []
     for limit in ("100.0", "120.0"):
-        path.write_text(path.read_text().replace("limits=(0.0, 100.0)", f"limits=(0.0, {limit})"))
+        path.write_text(
+            path.read_text().replace("limits=(0.0, 100.0)", f"limits=(0.0, {limit})")
+        )
         os.utime(path, (1_000_000_000, 1_000_000_000))
         with no_plant_files():  # as in a new process
             limits.append(find_plant(str(path)).drive.limits)
@@ -130,12 +144,18 @@ class Other(Plant):
         ("class Heated", f"{OTHER}class Heated", r"has 2 plants, Heated, Other; give each"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_reported_with_its_line(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_a_mistake_is_reported_with_its_line(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
     path = plant_file(tmp_path, "block_bad", (old, new))
-    line = 1 + path.read_text().partition("class" if "gian" in new or "sensor" in new else new)[0].count("\n")
+    line = 1 + path.read_text().partition(
+        "class" if "gian" in new or "sensor" in new else new
+    )[0].count("\n")
     with pytest.raises(PlantError, match=message) as raised:
         find_plant(str(path))
-    assert str(raised.value).startswith(f"{path}: " if new.startswith(OTHER) else f"{path}, line {line}: ")
+    assert str(raised.value).startswith(
+        f"{path}: " if new.startswith(OTHER) else f"{path}, line {line}: "
+    )
     assert "\n" not in str(raised.value)
 
 
@@ -145,39 +165,101 @@ STRUCTURES = 'structures = {"block": Structure(free=("gain", "capacity"))}'
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (STRUCTURES, "structures = [Structure(free=())]", "`structures` is of type list; write a dictionary"),
-        (STRUCTURES, 'structures = {"a": "gain"}', r"is 'gain'; write Structure\(free="),
+        (
+            STRUCTURES,
+            "structures = [Structure(free=())]",
+            "`structures` is of type list; write a dictionary",
+        ),
+        (
+            STRUCTURES,
+            'structures = {"a": "gain"}',
+            r"is 'gain'; write Structure\(free=",
+        ),
         (
             STRUCTURES,
             "structures = {1: Structure(free=())}",
             "name of a structure .* is 1; give a short text",
         ),
-        ('("gain", "capacity")', '("gain", "gain")', "`free` names 'gain' twice; name it once"),
+        (
+            '("gain", "capacity")',
+            '("gain", "gain")',
+            "`free` names 'gain' twice; name it once",
+        ),
         (
             '("gain", "capacity")',
             '("gain",), fixed={"loss": -1.0}',
             "loss is -1.0; it must be finite and pos",
         ),
-        ('("gain", "capacity")', '("gain",), starts=({"los": 1.0},)', "no parameter 'los'; the plant has"),
-        (STRUCTURES, f"{STRUCTURES}; typical = {{'gain': 'much'}}", "gain is 'much'; it must be finite and"),
-        (STRUCTURES, f"{STRUCTURES}; typical = ['gain']", r"is \['gain'\]; write a dictionary of names"),
-        (STRUCTURES, f"{STRUCTURES}; loop = 'pid'", r"`loop` is 'pid'; give a PidGains\(…\)"),
-        (STRUCTURES, f"{STRUCTURES}; sensor = 'camera'", r"`sensor` is 'camera'; give a Sensor\(…\)"),
-        (STRUCTURES, f"{STRUCTURES}; parts = 'lag'", r"`parts` is 'lag'; write texts in a tuple"),
-        (STRUCTURES, f"{STRUCTURES}; title = 3", "title of .* is 3; give a short text in quotes"),
-        (STRUCTURES, f"{STRUCTURES}; time_constant = 10**400", "`time_constant` is 10{58}…; give seconds"),
-        ('("gain", "capacity")', '("gain",), fixed={"loss": 10**400}', "loss is 10{58}…; it must be finite"),
+        (
+            '("gain", "capacity")',
+            '("gain",), starts=({"los": 1.0},)',
+            "no parameter 'los'; the plant has",
+        ),
+        (
+            STRUCTURES,
+            f"{STRUCTURES}; typical = {{'gain': 'much'}}",
+            "gain is 'much'; it must be finite and",
+        ),
+        (
+            STRUCTURES,
+            f"{STRUCTURES}; typical = ['gain']",
+            r"is \['gain'\]; write a dictionary of names",
+        ),
+        (
+            STRUCTURES,
+            f"{STRUCTURES}; loop = 'pid'",
+            r"`loop` is 'pid'; give a PidGains\(…\)",
+        ),
+        (
+            STRUCTURES,
+            f"{STRUCTURES}; sensor = 'camera'",
+            r"`sensor` is 'camera'; give a Sensor\(…\)",
+        ),
+        (
+            STRUCTURES,
+            f"{STRUCTURES}; parts = 'lag'",
+            r"`parts` is 'lag'; write texts in a tuple",
+        ),
+        (
+            STRUCTURES,
+            f"{STRUCTURES}; title = 3",
+            "title of .* is 3; give a short text in quotes",
+        ),
+        (
+            STRUCTURES,
+            f"{STRUCTURES}; time_constant = 10**400",
+            "`time_constant` is 10{58}…; give seconds",
+        ),
+        (
+            '("gain", "capacity")',
+            '("gain",), fixed={"loss": 10**400}',
+            "loss is 10{58}…; it must be finite",
+        ),
         (
             "    def equations",
             "    def __init__(self): raise BaseException\n    def equations",
             "its own __init__ or __new__",
         ),
-        ("def equations(self, parts)", "def equations(self)", r"write def equations\(self, parts\)"),
-        ("room", "reference", "a disturbance is called 'reference', like a signal of every recording"),
-        ('name="block_class_', 'name="../block_class_', "is not a valid name; use letters, digits and _"),
+        (
+            "def equations(self, parts)",
+            "def equations(self)",
+            r"write def equations\(self, parts\)",
+        ),
+        (
+            "room",
+            "reference",
+            "a disturbance is called 'reference', like a signal of every recording",
+        ),
+        (
+            'name="block_class_',
+            'name="../block_class_',
+            "is not a valid name; use letters, digits and _",
+        ),
     ],
 )
-def test_a_class_that_contradicts_itself_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_a_class_that_contradicts_itself_is_refused(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
     name = f"block_class_{crc32(repr((old, new)).encode())}"
     with pytest.raises(PlantError, match=message) as raised:
         find_plant(str(plant_file(tmp_path, name, (old, new))))
@@ -185,34 +267,50 @@ def test_a_class_that_contradicts_itself_is_refused(tmp_path: Path, old: str, ne
     assert "\n" not in str(raised.value)
 
 
-def test_a_file_that_never_ends_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_never_ends_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for module in (files, equations):
         monkeypatch.setattr(module, "at_most", partial(at_most, 1.0))
     ends = ('"""A heated', 'while True: pass\n"""A heated')
-    with pytest.raises(PlantError, match=r"line 1: the file was not loaded within .* look for a loop"):
+    with pytest.raises(
+        PlantError, match=r"line 1: the file was not loaded within .* look for a loop"
+    ):
         find_plant(str(plant_file(tmp_path, "block_endless", ends)))
     ends = ("        lost = ", "        while True: pass\n        lost = ")
     with pytest.raises(PlantError, match="line 19: `equations` did not return within"):
-        _ = find_plant(str(plant_file(tmp_path, "block_endless_too", ends))).model().states
+        _ = (
+            find_plant(str(plant_file(tmp_path, "block_endless_too", ends)))
+            .model()
+            .states
+        )
 
 
-def test_files_without_a_plant_and_names_that_are_taken_are_refused(tmp_path: Path) -> None:
+def test_files_without_a_plant_and_names_that_are_taken_are_refused(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(PlantError, match="there is no such file"):
         find_plant(str(tmp_path / "none.py"))
     empty = tmp_path / "empty.py"
     empty.write_text("x = 1\n")
     with pytest.raises(PlantError, match="has no plant; write a class such as"):
         find_plant(str(empty))
-    with pytest.raises(PlantError, match="is called peltier, like one that comes with twinmatch"):
+    with pytest.raises(
+        PlantError, match="is called peltier, like one that comes with twinmatch"
+    ):
         find_plant(str(plant_file(tmp_path, "peltier")))
     assert all(find_plant(name) is plant for name, plant in PLANTS.items())
     find_plant(str(plant_file(tmp_path, "block_twice")))
     (tmp_path / "copy").mkdir()
     with pytest.raises(
-        PlantError, match=r"is called block_twice, like that of .*give one of them another name"
+        PlantError,
+        match=r"is called block_twice, like that of .*give one of them another name",
     ):
         find_plant(str(plant_file(tmp_path / "copy", "block_twice")))
-    with pytest.raises(PlantError, match=r"plant 'nothing': not known; choose from peltier.*nothing\.py"):
+    with pytest.raises(
+        PlantError,
+        match=r"plant 'nothing': not known; choose from peltier.*nothing\.py",
+    ):
         find_plant("nothing")
 
 
@@ -220,8 +318,12 @@ def installed(folder: Path, value: str, monkeypatch: pytest.MonkeyPatch) -> None
     """A package as pip leaves it, with one entry point."""
     info = folder / "block_package-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: block-package\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[twinmatch.plants]\nblock_package = {value}\n")
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: block-package\nVersion: 1.0\n"
+    )
+    (info / "entry_points.txt").write_text(
+        f"[twinmatch.plants]\nblock_package = {value}\n"
+    )
     monkeypatch.syspath_prepend(folder)
     _declared.cache_clear()
 
@@ -242,11 +344,16 @@ def test_a_plant_of_an_installed_package_is_found_by_its_name(
         _declared.cache_clear()
 
 
-def test_what_a_package_declares_wrongly_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_package_declares_wrongly_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     plant_file(tmp_path, "block_package")
     installed(tmp_path, "block_package:Plan", monkeypatch)
     try:
-        with pytest.raises(PlantError, match="plant 'block_package' of block-package: cannot be imported"):
+        with pytest.raises(
+            PlantError,
+            match="plant 'block_package' of block-package: cannot be imported",
+        ):
             find_plant("block_package")
     finally:
         monkeypatch.undo()
@@ -256,51 +363,125 @@ def test_what_a_package_declares_wrongly_is_reported(tmp_path: Path, monkeypatch
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("self.loss *", "self.los *", r"line 19: self\.los is not declared; did you mean loss\?"),
-        ("self.loss *", "self.xyz *", r"line 19: self\.xyz is not declared; declare it as"),
+        (
+            "self.loss *",
+            "self.los *",
+            r"line 19: self\.los is not declared; did you mean loss\?",
+        ),
+        (
+            "self.loss *",
+            "self.xyz *",
+            r"line 19: self\.xyz is not declared; declare it as",
+        ),
         ("lost = ", "lots = ", r"line 21: NameError: name 'lost' is not defined"),
         (
             "        lost = ",
             "        if self.block > 3: pass\n        lost = ",
             "line 19: equations cannot branch",
         ),
-        ("lost = ", "raise type('E', (BaseException,), {})('own')  # ", "line 19: E: own$"),
-        ("lost = ", "raise type('K', (KeyboardInterrupt,), {})('own')  # ", "line 19: K: own$"),
-        ("self.loss * (", "10**400 * (", "the rate of block has a number that is too large for floating"),
-        ("output=self.block", "output=self.block + 10**5000", "the output has a number that is too large"),
+        (
+            "lost = ",
+            "raise type('E', (BaseException,), {})('own')  # ",
+            "line 19: E: own$",
+        ),
+        (
+            "lost = ",
+            "raise type('K', (KeyboardInterrupt,), {})('own')  # ",
+            "line 19: K: own$",
+        ),
+        (
+            "self.loss * (",
+            "10**400 * (",
+            "the rate of block has a number that is too large for floating",
+        ),
+        (
+            "output=self.block",
+            "output=self.block + 10**5000",
+            "the output has a number that is too large",
+        ),
         ("output=self.block", "output=self.heater", "the output depends on no state"),
-        ("start={self.block: self.temperature}", "start={}", "state block has no start value"),
-        ("rates={self.block: ", "rates={self.gain: ", "`rates` has gain, which is not declared as a state"),
+        (
+            "start={self.block: self.temperature}",
+            "start={}",
+            "state block has no start value",
+        ),
+        (
+            "rates={self.block: ",
+            "rates={self.gain: ",
+            "`rates` has gain, which is not declared as a state",
+        ),
         (
             "rates={self.block: (self.gain * self.heater - lost) / self.capacity}",
             "rates={}",
             "no state has a rate",
         ),
         ("return Equations(", "return dict(", "returns dict; return Equations"),
-        ("self.loss * (", "math.sin(self.loss) * (", "line 19: a function of numbers .* use SymPy's"),
-        ("self.loss * (", "round(self.loss) * (", "line 19: a function of numbers .* use SymPy's"),
-        ("self.loss * (", "sympy.gamma(self.loss) * (", "uses gamma, which cannot be compiled; use only Abs"),
+        (
+            "self.loss * (",
+            "math.sin(self.loss) * (",
+            "line 19: a function of numbers .* use SymPy's",
+        ),
+        (
+            "self.loss * (",
+            "round(self.loss) * (",
+            "line 19: a function of numbers .* use SymPy's",
+        ),
+        (
+            "self.loss * (",
+            "sympy.gamma(self.loss) * (",
+            "uses gamma, which cannot be compiled; use only Abs",
+        ),
         ("self.loss * (", "1j * (", "the rate of block is complex"),
         (
             "/ self.capacity",
             "/ (self.gain - self.gain)",
             "the rate of block is not finite .* divides by zero",
         ),
-        ("output=self.block", "output=self.room", "the output depends on no state; write it in terms of"),
-        ("output=self.block", "output=self.temperature", "the output uses temperature, which is the output"),
-        ("output=self.block", "output='block'", "the output is 'block', of type str; write an expression"),
-        ("{self.block: self.temperature}", "{self.block: self.block}", "which is not known before the first"),
-        ("{self.block: self.temperature}", "{self.block: abs(self.room)}", "the start has a kink"),
+        (
+            "output=self.block",
+            "output=self.room",
+            "the output depends on no state; write it in terms of",
+        ),
+        (
+            "output=self.block",
+            "output=self.temperature",
+            "the output uses temperature, which is the output",
+        ),
+        (
+            "output=self.block",
+            "output='block'",
+            "the output is 'block', of type str; write an expression",
+        ),
+        (
+            "{self.block: self.temperature}",
+            "{self.block: self.block}",
+            "which is not known before the first",
+        ),
+        (
+            "{self.block: self.temperature}",
+            "{self.block: abs(self.room)}",
+            "the start has a kink",
+        ),
         (
             "{self.block: self.temperature}",
             "{'block': self.temperature}",
             "`start` has 'block', .*self.block",
         ),
-        ("- lost) / self.capacity", "- lost) > 0", "the rate of block is a condition; write an expression"),
-        ("self.loss *", "sympy.Piecewise((1, self.block > 0)) *", "give its last piece the condition True"),
+        (
+            "- lost) / self.capacity",
+            "- lost) > 0",
+            "the rate of block is a condition; write an expression",
+        ),
+        (
+            "self.loss *",
+            "sympy.Piecewise((1, self.block > 0)) *",
+            "give its last piece the condition True",
+        ),
     ],
 )
-def test_a_mistake_in_the_equations_is_reported(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_a_mistake_in_the_equations_is_reported(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
     plant = find_plant(
         str(
             plant_file(
@@ -317,17 +498,27 @@ def test_a_mistake_in_the_equations_is_reported(tmp_path: Path, old: str, new: s
 
 
 def test_integers_beyond_64_bits_are_floating_point(tmp_path: Path) -> None:
-    path = plant_file(tmp_path, "block_far", ("110.0)", "10**30)"), ("noise=0.1", "noise=10**30"))
+    path = plant_file(
+        tmp_path, "block_far", ("110.0)", "10**30)"), ("noise=0.1", "noise=10**30")
+    )
     plant = find_plant(str(path))
     assert plant.states["block"].span == (0.0, 1e30)
-    assert [type(end) for end in (*plant.states["block"].span, plant.output.noise)] == [float] * 3
+    assert [type(end) for end in (*plant.states["block"].span, plant.output.noise)] == [
+        float
+    ] * 3
 
 
 def test_ctrl_c_while_a_file_is_loaded_stays_one(tmp_path: Path) -> None:
-    path = plant_file(tmp_path, "block_stopped", ("class Heated", "raise KeyboardInterrupt\nclass Heated"))
+    path = plant_file(
+        tmp_path,
+        "block_stopped",
+        ("class Heated", "raise KeyboardInterrupt\nclass Heated"),
+    )
     with pytest.raises(KeyboardInterrupt):
         find_plant(str(path))
-    path = plant_file(tmp_path, "block_stopped_later", ("lost = ", "raise KeyboardInterrupt  # "))
+    path = plant_file(
+        tmp_path, "block_stopped_later", ("lost = ", "raise KeyboardInterrupt  # ")
+    )
     with pytest.raises(KeyboardInterrupt):
         _ = find_plant(str(path)).model().states
 
@@ -336,5 +527,9 @@ def test_no_name_of_a_parameter_is_taken_for_a_kink(tmp_path: Path) -> None:
     changes = (("gain", "switch_0"), ("self.loss * (", "abs(self.loss) * ("))
     plant = find_plant(str(plant_file(tmp_path, "block_switch", *changes)))
     derived = equations.derive(plant(), frozenset(), frozenset())
-    assert [str(symbol) for symbol in derived.parameters] == ["switch_0", "loss", "capacity"]
+    assert [str(symbol) for symbol in derived.parameters] == [
+        "switch_0",
+        "loss",
+        "capacity",
+    ]
     assert not {*derived.switches} & {*derived.parameters}

@@ -30,7 +30,9 @@ kits = st.builds(
 )
 
 
-def published(_: float, x: list[float], kit: Parameters, q1: float, q2: float) -> list[float]:
+def published(
+    _: float, x: list[float], kit: Parameters, q1: float, q2: float
+) -> list[float]:
     """The balance as its authors write it (apmonitor.com/pdc, SimulateEnergyBalance), with sensor 1."""
     heater, neighbour, sensor = x
     mass = 4.0 / 1000.0
@@ -68,12 +70,21 @@ def published(_: float, x: list[float], kit: Parameters, q1: float, q2: float) -
     period=st.sampled_from([0.1, 1.0, 5.0]),
 )
 def test_a_tick_is_that_of_the_published_balance(
-    kit: Parameters, temperatures: tuple[float, float, float], q1: float, q2: float, period: float
+    kit: Parameters,
+    temperatures: tuple[float, float, float],
+    q1: float,
+    q2: float,
+    period: float,
 ) -> None:
     reached = advance(kit, np.array(temperatures), q1, period, np.array([q2]))
-    exact = solve_ivp(published, (0.0, period), temperatures, args=(kit, q1, q2), rtol=1e-10, atol=1e-10).y[
-        :, -1
-    ]
+    exact = solve_ivp(
+        published,
+        (0.0, period),
+        temperatures,
+        args=(kit, q1, q2),
+        rtol=1e-10,
+        atol=1e-10,
+    ).y[:, -1]
     way = np.abs(exact - temperatures).max()
     assert np.abs(reached - exact).max() < 1e-5 + 2e-6 * way
 
@@ -84,7 +95,9 @@ def test_heat_comes_to_a_balance_that_can_be_worked_out_by_hand() -> None:
     states = begin(kit, 20.0)
     for _ in range(4000):  # 24 time constants
         states = advance(kit, states, 60.0, 1.0)
-    assert read(kit, states) == pytest.approx(20.0 + 0.01 * 60.0 / (12.0 * 10e-4), abs=1e-6)
+    assert read(kit, states) == pytest.approx(
+        20.0 + 0.01 * 60.0 / (12.0 * 10e-4), abs=1e-6
+    )
 
 
 def test_the_second_heater_warms_the_first() -> None:
@@ -102,7 +115,9 @@ def simulated_kit() -> Window:
 
     Its equations are others than ours: linear, sensors that follow with 140 s, heaters with 20 s.
     """
-    tclab = pytest.importorskip("tclab", reason="no kit to simulate; pip install 'twinmatch[tclab]'")
+    tclab = pytest.importorskip(
+        "tclab", reason="no kit to simulate; pip install 'twinmatch[tclab]'"
+    )
     import random
 
     random.seed(3)
@@ -120,7 +135,9 @@ def simulated_kit() -> Window:
     return Window.from_samples(samples)
 
 
-def test_a_kit_simulated_by_others_is_matched_by_two_levels(simulated_kit: Window) -> None:
+def test_a_kit_simulated_by_others_is_matched_by_two_levels(
+    simulated_kit: Window,
+) -> None:
     """Of its two lags our heater takes the long one and our sensor the short one: in the reading they are one
     product. Gain and long lag are 0.6 °C/% and about 140 s there, so U = 2 J/K / (140 s · 10 cm²)."""
     a_match = match(simulated_kit.part(200, 900), start=SIMPLE.parameters())
@@ -171,7 +188,9 @@ def test_the_first_five_minutes_of_a_real_kit_forecast_the_next(
 ) -> None:
     """Under the heaters that came, steps of 30 to 80 %: with a third of the error that no change has."""
     whole = kit_recording(name)
-    fitted = fit_structure([whole.part(0, 299)], TCLab.model(structure), law=None, informed=True)
+    fitted = fit_structure(
+        [whole.part(0, 299)], TCLab.model(structure), law=None, informed=True
+    )
     run = simulate_driven(
         fitted.parameters,
         whole.input[299:],

@@ -15,7 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.places import PROJECT
-from twinmatch.comparing import CandidateScore, ForecastScore, OrderScore, TrustLevel, Verdict
+from twinmatch.comparing import (
+    CandidateScore,
+    ForecastScore,
+    OrderScore,
+    TrustLevel,
+    Verdict,
+)
 from twinmatch.comparing.criteria import Criteria
 from twinmatch.description import Description, Quantity
 from twinmatch.fitting import Status
@@ -24,7 +30,14 @@ from twinmatch.forecasting import Band, Forecast, WhatIfResult
 from twinmatch.forecasting.what_if import Moment, Peak
 from twinmatch.health import EstimatedReading
 from twinmatch.plants import Peltier
-from twinmatch.record import SAMPLED, comparable, differences, document_of, object_of, tree_of
+from twinmatch.record import (
+    SAMPLED,
+    comparable,
+    differences,
+    document_of,
+    object_of,
+    tree_of,
+)
 from twinmatch.record.fields import Form, RecordError, fields_of, values_name
 from twinmatch.safety import LawReport
 from twinmatch.signals import Window
@@ -60,7 +73,9 @@ CANDIDATE = CandidateScore(
     parameters=Peltier.model().parameters(),
     first=0,
     last=99,
-    orders=(OrderScore("22221", CRITERIA, CRITERIA, CRITERIA + CRITERIA, math.nan, 1.0),),
+    orders=(
+        OrderScore("22221", CRITERIA, CRITERIA, CRITERIA + CRITERIA, math.nan, 1.0),
+    ),
     chosen_order="22221",
     nu_gap_sum=0.5,
     newest=None,
@@ -77,7 +92,10 @@ VERDICT = Verdict(
     nominal="50 °C",
     reason="so it is",
     decimals=2,
-    candidates=(CANDIDATE, replace(CANDIDATE, name="70 °C", newest=CRITERIA, margin=0.25)),
+    candidates=(
+        CANDIDATE,
+        replace(CANDIDATE, name="70 °C", newest=CRITERIA, margin=0.25),
+    ),
     order=None,
     nu_gap=((0.0, 0.5), (0.5, 0.0)),
     driven_rms_y=1.0,
@@ -89,10 +107,17 @@ def report() -> MatchReport:
     """One without a fit, so full of NaN, and one direction that is known."""
     window = Window(np.full(9, 50.0), np.full(9, 50.0), np.full(9, 90.0))
     match = without_fit(
-        window, ("a", "b"), Peltier.model().parameters(), Status.NO_EXCITATION, "nothing moved"
+        window,
+        ("a", "b"),
+        Peltier.model().parameters(),
+        Status.NO_EXCITATION,
+        "nothing moved",
     )
     fitted = replace(
-        match, starts={"sink": 296.0}, directions=np.array([[1.0, 2.0], [3.0, 4.0]]), believed=("b",)
+        match,
+        starts={"sink": 296.0},
+        directions=np.array([[1.0, 2.0], [3.0, 4.0]]),
+        believed=("b",),
     )
     return MatchReport(8, 50.0, fitted)
 
@@ -123,31 +148,64 @@ def test_the_message_has_the_fields_of_the_record(name: str) -> None:
     """A field of the one that the other lacks is found here, whichever it is."""
     text = (PROJECT / "src" / "twinmatch_msgs" / "msg" / f"{name}.msg").read_text()
     lines = (line.partition("#")[0].split() for line in text.splitlines())
-    field_names = {words[1] for words in lines if len(words) == 2 and "=" not in words[1]}
+    field_names = {
+        words[1] for words in lines if len(words) == 2 and "=" not in words[1]
+    }
     assert field_names - OF_THE_MESSAGE - BESIDE.get(name, set()) == entries(SENT[name])
 
 
 @pytest.mark.parametrize("name", RECORDS)
 def test_the_method_says_how_to_read_every_field(name: str) -> None:
     documented = set(re.findall(r"`(\w+)`", METHOD))
-    missing = {entry.removesuffix("_name") for entry in entries(RECORDS[name])} - documented
-    assert not missing, f"docs/method.md does not say how to read {sorted(missing)} of {name}"
+    missing = {
+        entry.removesuffix("_name") for entry in entries(RECORDS[name])
+    } - documented
+    assert not missing, (
+        f"docs/method.md does not say how to read {sorted(missing)} of {name}"
+    )
 
 
 def test_an_answer_to_a_question_has_the_fields_of_its_record() -> None:
-    text = (PROJECT / "src" / "twinmatch_msgs" / "srv" / "WhatIf.srv").read_text().partition("---")[2]
-    field_names = {line.split()[1] for line in text.splitlines() if line.partition("#")[0].strip()}
+    text = (
+        (PROJECT / "src" / "twinmatch_msgs" / "srv" / "WhatIf.srv")
+        .read_text()
+        .partition("---")[2]
+    )
+    field_names = {
+        line.split()[1] for line in text.splitlines() if line.partition("#")[0].strip()
+    }
     assert field_names - {"success", "message"} == entries(WhatIfResult)
 
 
-def test_an_answer_names_what_happens_first_by_its_own_name_and_a_single_level_in_a_list() -> None:
+def test_an_answer_names_what_happens_first_by_its_own_name_and_a_single_level_in_a_list() -> (
+    None
+):
     band = Band(np.array([1.0, 2.0]), np.array([0.5, 1.5]), np.array([1.5, 2.5]))
-    forecast = Forecast(7, "c", "s", 0.9, np.array([1.0, 2.0]), np.array([3.0, 3.0]), (band, band), (band,))
+    forecast = Forecast(
+        7,
+        "c",
+        "s",
+        0.9,
+        np.array([1.0, 2.0]),
+        np.array([3.0, 3.0]),
+        (band, band),
+        (band,),
+    )
     answer = WhatIfResult(
-        forecast, 2.0, 0.5, Moment(1.0, None, 2.0), Moment(2.0, 2.0, None), Peak(2.0, 2.0, 1.5, 2.5)
+        forecast,
+        2.0,
+        0.5,
+        Moment(1.0, None, 2.0),
+        Moment(2.0, 2.0, None),
+        Peak(2.0, 2.0, 1.5, 2.5),
     )
     tree = tree_of(answer)
-    assert (tree["level"], tree["reach"], tree["reach_latest"], tree["largest_input_most"]) == (
+    assert (
+        tree["level"],
+        tree["reach"],
+        tree["reach_latest"],
+        tree["largest_input_most"],
+    ) == (
         *([2.0], 1.0, 2.0),
         2.5,
     )
@@ -182,10 +240,15 @@ def test_what_is_absent_is_null_in_json() -> None:
 
 def test_a_record_of_another_version_is_refused() -> None:
     tree = tree_of(VERDICT)
-    with pytest.raises(RecordError, match="a Verdict lacks reason; it was recorded by another version"):
-        object_of(Verdict, {name: value for name, value in tree.items() if name != "reason"})
     with pytest.raises(
-        RecordError, match="'certain' is unknown; expected one of unknown, trusted, doubtful, fault"
+        RecordError, match="a Verdict lacks reason; it was recorded by another version"
+    ):
+        object_of(
+            Verdict, {name: value for name, value in tree.items() if name != "reason"}
+        )
+    with pytest.raises(
+        RecordError,
+        match="'certain' is unknown; expected one of unknown, trusted, doubtful, fault",
     ):
         object_of(Verdict, tree | {"level_name": "certain"})
 
@@ -207,7 +270,9 @@ def test_what_an_older_version_recorded_is_compared_as_far_as_both_know_it() -> 
     assert not list(differences(comparable(older), tree, apart=apart))
     assert apart == {"gone", "certainty"}
     older["residual_y"] += 1.0
-    assert [place for place, _, _ in differences(comparable(older), tree, apart=set())] == ["driven_rms_y"]
+    assert [
+        place for place, _, _ in differences(comparable(older), tree, apart=set())
+    ] == ["driven_rms_y"]
 
 
 def test_every_bit_counts() -> None:
@@ -217,7 +282,9 @@ def test_every_bit_counts() -> None:
     was = changed["candidates"][1]["orders"][0]["total"]["bic"]
     changed_bic = float(np.nextafter(was, np.inf))
     changed["candidates"][1]["orders"][0]["total"]["bic"] = changed_bic
-    assert list(differences(tree, changed)) == [("candidates[1].orders[0].total.bic", was, changed_bic)]
+    assert list(differences(tree, changed)) == [
+        ("candidates[1].orders[0].total.bic", was, changed_bic)
+    ]
 
 
 @given(st.floats(), st.floats())

@@ -27,10 +27,23 @@ from tests.support.liar import (
     lie_to_both,
     whole_kit,
 )
-from tests.support.lie_generator import SET_POINTS, LieOutcome, LieRun, Surroundings, draw_lie, follow
+from tests.support.lie_generator import (
+    SET_POINTS,
+    LieOutcome,
+    LieRun,
+    Surroundings,
+    draw_lie,
+    follow,
+)
 from tests.support.peltier_oracle import integrated
 from twinmatch.nodes.tclab_bridge import SECOND, TCLabBridge
-from twinmatch.safety import Accusations, BudgetLimits, FaultKind, HeatBudget, OutputGuard
+from twinmatch.safety import (
+    Accusations,
+    BudgetLimits,
+    FaultKind,
+    HeatBudget,
+    OutputGuard,
+)
 from twinmatch.safety.ceiling import CAUTION, Ceiling
 from twinmatch.safety.limits import SafetyError
 from twinmatch.safety.observer import ObserverLimits
@@ -62,7 +75,9 @@ CASES = [
 
 
 @pytest.mark.parametrize(("bench", "name", "set_point"), CASES)
-def test_no_lie_of_the_sensor_overheats_the_plant(bench: Bench, name: str, set_point: float) -> None:
+def test_no_lie_of_the_sensor_overheats_the_plant(
+    bench: Bench, name: str, set_point: float
+) -> None:
     ending = lie_on(held_without_a_lie(bench, set_point), LIES[name], set_point, 500)
     assert ending.highest <= highest_allowed(set_point)
     assert ending.highest < bench.bridge.LIMITS.highest
@@ -91,18 +106,24 @@ def test_no_lie_of_either_sensor_overheats_a_kit_whose_heaters_are_both_driven(
 
 def test_two_healthy_heaters_latch_nothing() -> None:
     """Each is a load for the other."""
-    steps = np.repeat([[35.0, 30.0], [50.0, 30.0], [50.0, 42.0], [30.0, 42.0]], 300, axis=0)
+    steps = np.repeat(
+        [[35.0, 30.0], [50.0, 30.0], [50.0, 42.0], [30.0, 42.0]], 300, axis=0
+    )
     first, second = lie_to_both(whole_kit(12), steps, seed=12)
     assert first.fault is None
     assert first.limited + second.limited <= 12  # 1 %
 
 
-@pytest.mark.parametrize("name", ["drifts by -0.8 °C/s", "drifts by -0.1 °C/s", "slides off within 5 s"])
+@pytest.mark.parametrize(
+    "name", ["drifts by -0.8 °C/s", "drifts by -0.1 °C/s", "slides off within 5 s"]
+)
 @pytest.mark.parametrize("guard", [no_budget, no_observer])
 def test_observer_and_budget_are_each_alone_enough_at_a_low_set_point(
     guard: Callable[[Bench], OutputGuard], name: str
 ) -> None:
-    ending = lie_to(RIG, guard(RIG), RIG.plant(3), [30.0] * (BEGINS + 500), LIES[name], seed=3)
+    ending = lie_to(
+        RIG, guard(RIG), RIG.plant(3), [30.0] * (BEGINS + 500), LIES[name], seed=3
+    )
     assert ending.highest <= highest_allowed(30.0)
     assert ending.fault is not None
     assert ending.fault.kind in {FaultKind.DISAGREES, FaultKind.BUDGET}
@@ -111,13 +132,27 @@ def test_observer_and_budget_are_each_alone_enough_at_a_low_set_point(
 def test_without_either_a_lie_heats_the_plate_to_its_end() -> None:
     """What these guards are for: everything else leaves the drive full."""
     guard = OutputGuard(replace(RIG.bridge.LIMITS, budget=UNLIMITED))
-    ending = lie_to(RIG, guard, RIG.plant(3), [30.0] * (BEGINS + 500), LIES["drifts by -0.1 °C/s"], seed=3)
+    ending = lie_to(
+        RIG,
+        guard,
+        RIG.plant(3),
+        [30.0] * (BEGINS + 500),
+        LIES["drifts by -0.1 °C/s"],
+        seed=3,
+    )
     assert ending.highest > 65.0
 
 
 def told_slowly(name: str, set_point: float, guard: OutputGuard) -> Ending:
     reported, lasts, begins = SLOW_LIES[name]
-    return lie_to(RIG, guard, RIG.plant(0), [set_point] * (begins + lasts), reported, begins=begins)
+    return lie_to(
+        RIG,
+        guard,
+        RIG.plant(0),
+        [set_point] * (begins + lasts),
+        reported,
+        begins=begins,
+    )
 
 
 @pytest.mark.parametrize(
@@ -128,7 +163,9 @@ def told_slowly(name: str, set_point: float, guard: OutputGuard) -> Ending:
         ("frozen from the beginning", 30.0),
     ],
 )
-def test_a_lie_that_nothing_contradicts_for_minutes_is_limited(name: str, set_point: float) -> None:
+def test_a_lie_that_nothing_contradicts_for_minutes_is_limited(
+    name: str, set_point: float
+) -> None:
     ending = told_slowly(name, set_point, RIG.guard())
     assert ending.limited > 0
     assert ending.highest <= highest_allowed(set_point)
@@ -150,7 +187,9 @@ def test_a_moving_set_point_does_not_teach_the_ceiling_a_lie(
     references: FloatArray, rate: float, begins: int
 ) -> None:
     """It was 15 to 35 °C too far."""
-    ending = lie_to(RIG, RIG.guard(), RIG.plant(0), references, drifting(rate), begins=begins)
+    ending = lie_to(
+        RIG, RIG.guard(), RIG.plant(0), references, drifting(rate), begins=begins
+    )
     highest = max(references[: begins + (ending.after or len(references))])
     assert ending.highest <= highest_allowed(highest)
 
@@ -176,8 +215,18 @@ SINCE = np.arange(1200) - 600
 @pytest.mark.parametrize(
     ("bench", "level", "surroundings"),
     [
-        (KIT, 58.0, Surroundings("draught", np.zeros(1200), np.where(SINCE < 0, 1.0, 1.5))),
-        (RIG, 31.0, Surroundings("cools", -12.0 * np.clip(SINCE / 120.0, 0.0, 1.0), np.ones(1200))),
+        (
+            KIT,
+            58.0,
+            Surroundings("draught", np.zeros(1200), np.where(SINCE < 0, 1.0, 1.5)),
+        ),
+        (
+            RIG,
+            31.0,
+            Surroundings(
+                "cools", -12.0 * np.clip(SINCE / 120.0, 0.0, 1.0), np.ones(1200)
+            ),
+        ),
     ],
     ids=["a kit in a draught", "a rig in a room that cools within two minutes"],
 )
@@ -199,7 +248,8 @@ def test_no_healthy_heater_runs_out_of_budget_in_a_draught(heater: int) -> None:
         heating=0.75 * (SECOND if heater else 1.0) * KIT.typical["heating"],
         ambient=288.15,
     )
-    needed = weakest["losses"] * 10e-4 * (60.0 - 15.0) / weakest["heating"]  # % over a surface of 10 cm²
+    # % over a surface of 10 cm²
+    needed = weakest["losses"] * 10e-4 * (60.0 - 15.0) / weakest["heating"]
     assert HeatBudget(budget).take(3600.0, needed, 60.0, 60.0) is None
 
 
@@ -237,20 +287,32 @@ def test_a_strong_plant_that_is_known_gets_less_hot_by_an_early_lie() -> None:
 )
 def test_what_is_known_of_a_plant_is_checked(parameters: str, message: str) -> None:
     with pytest.raises(SafetyError, match=message):
-        TCLabBridge.observer(replace(TCLabBridge.LIMITS, observer=ObserverLimits(known=parameters)))
+        TCLabBridge.observer(
+            replace(TCLabBridge.LIMITS, observer=ObserverLimits(known=parameters))
+        )
 
 
 def test_of_a_known_kit_each_heater_has_its_power() -> None:
     observer_limits = ObserverLimits(known="heating = 0.012, second_heating = 0.004")
     limits = replace(TCLabBridge.LIMITS, observer=observer_limits)
     first, second = TCLabBridge.guards_of_both(limits)
-    assert first.limits.observer.measured() == {"heating": 0.012, "second_heating": 0.004}
-    assert second.limits.observer.measured() == {"second_heating": 0.012, "heating": 0.004}
+    assert first.limits.observer.measured() == {
+        "heating": 0.012,
+        "second_heating": 0.004,
+    }
+    assert second.limits.observer.measured() == {
+        "second_heating": 0.012,
+        "heating": 0.004,
+    }
 
 
 def test_the_generator_draws_the_same_runs_from_the_same_seed() -> None:
     first, second = (draw_lie(8) for _ in range(2))
-    assert (first.kind, first.lie_name, first.begins) == (second.kind, second.lie_name, second.begins)
+    assert (first.kind, first.lie_name, first.begins) == (
+        second.kind,
+        second.lie_name,
+        second.begins,
+    )
     np.testing.assert_array_equal(first.references, second.references)
     assert {draw_lie(seed).set_points for seed in range(30)} == set(SET_POINTS)
 
@@ -258,7 +320,9 @@ def test_the_generator_draws_the_same_runs_from_the_same_seed() -> None:
 def test_without_the_limit_a_frozen_sensor_passes_the_goal() -> None:
     limits = replace(RIG.bridge.LIMITS, observer=ObserverLimits(margin=150.0))
     guard = OutputGuard(limits, RIG.bridge.observer(limits))
-    assert told_slowly("frozen from the beginning", 30.0, guard).highest > highest_allowed(30.0)
+    assert told_slowly(
+        "frozen from the beginning", 30.0, guard
+    ).highest > highest_allowed(30.0)
 
 
 def blind(guard: OutputGuard, begin: int, seconds: int) -> list[float]:
@@ -273,9 +337,15 @@ def blind(guard: OutputGuard, begin: int, seconds: int) -> list[float]:
 
 
 def test_a_limit_is_lifted_by_the_operator_s_word_and_not_by_that_for_a_fault() -> None:
-    guard = OutputGuard(replace(RIG.bridge.LIMITS, budget=UNLIMITED), RIG.bridge.observer(RIG.bridge.LIMITS))
+    guard = OutputGuard(
+        replace(RIG.bridge.LIMITS, budget=UNLIMITED),
+        RIG.bridge.observer(RIG.bridge.LIMITS),
+    )
     assert 0.0 <= blind(guard, 0, 12)[-1] < 255.0
-    assert (guard.fault, guard.limited and guard.limited.kind) == (None, FaultKind.LIMITED)
+    assert (guard.fault, guard.limited and guard.limited.kind) == (
+        None,
+        FaultKind.LIMITED,
+    )
     guard.trip(FaultKind.STOPPED, "stopped", 12.0)
     guard.clear()
     assert blind(guard, 12, 1)[-1] < 255.0
@@ -285,14 +355,22 @@ def test_a_limit_is_lifted_by_the_operator_s_word_and_not_by_that_for_a_fault() 
 
 
 def test_a_limited_drive_that_no_reading_shows_is_a_fault_after_a_while() -> None:
-    guard = OutputGuard(replace(RIG.bridge.LIMITS, budget=UNLIMITED), RIG.bridge.observer(RIG.bridge.LIMITS))
+    guard = OutputGuard(
+        replace(RIG.bridge.LIMITS, budget=UNLIMITED),
+        RIG.bridge.observer(RIG.bridge.LIMITS),
+    )
     assert blind(guard, 0, 40)[-1] == 0.0
     assert guard.fault is not None
     assert guard.fault.kind is FaultKind.DISAGREES
 
 
 @given(
-    st.lists(st.tuples(st.floats(-60.0, 150.0), st.floats(-10.0, 110.0), st.floats(0.0, 100.0)), max_size=80)
+    st.lists(
+        st.tuples(
+            st.floats(-60.0, 150.0), st.floats(-10.0, 110.0), st.floats(0.0, 100.0)
+        ),
+        max_size=80,
+    )
 )
 def test_heating_is_free_up_to_the_last_of_the_margin_and_ends_at_the_whole(
     story: list[tuple[float, float, float]],
@@ -301,8 +379,12 @@ def test_heating_is_free_up_to_the_last_of_the_margin_and_ends_at_the_whole(
     ceiling = Ceiling(10.0, np.ones(1), seen=True)
     for typical, reading, reference in story:
         ceiling.take(np.zeros(1), typical, reading, reference)
-        beyond = typical - max(reading, min(reference, reading + CAUTION.ahead), CAUTION.harmless)
-        assert ceiling.share == pytest.approx(min(max((10.0 - beyond) / CAUTION.closes, 0.0), 1.0))
+        beyond = typical - max(
+            reading, min(reference, reading + CAUTION.ahead), CAUTION.harmless
+        )
+        assert ceiling.share == pytest.approx(
+            min(max((10.0 - beyond) / CAUTION.closes, 0.0), 1.0)
+        )
 
 
 def test_a_set_point_counts_in_full_only_after_the_start() -> None:
@@ -357,9 +439,15 @@ def test_a_set_point_that_moves_does_not_make_another_plant_of_it() -> None:
         lambda ceiling: ceiling.take(np.array([40.0]), 60.0, -40.0, 60.0),
         lambda ceiling: ceiling.take(np.array([40.0]), 140.0, 60.0, 60.0),
     ],
-    ids=["a reading that is not believed", "one far from the estimate", "under a limit"],
+    ids=[
+        "a reading that is not believed",
+        "one far from the estimate",
+        "under a limit",
+    ],
 )
-def test_nothing_is_learned_from_readings_that_may_be_false(change: Callable[[Ceiling], None]) -> None:
+def test_nothing_is_learned_from_readings_that_may_be_false(
+    change: Callable[[Ceiling], None],
+) -> None:
     ceiling = Ceiling(12.5, np.full(1, 0.1), seen=True)
     change(ceiling)
     ceiling.take(np.array([40.0]), 60.0, 60.0, 60.0, learns=False)
@@ -367,9 +455,15 @@ def test_nothing_is_learned_from_readings_that_may_be_false(change: Callable[[Ce
 
 
 @pytest.mark.parametrize(("bench", "seed"), [(RIG, 11), (KIT, 12)], ids=["rig", "kit"])
-def test_a_healthy_plant_that_nobody_tuned_on_latches_nothing(bench: Bench, seed: int) -> None:
+def test_a_healthy_plant_that_nobody_tuned_on_latches_nothing(
+    bench: Bench, seed: int
+) -> None:
     """In forty minutes."""
-    references = profile(seed, 2400) if bench is RIG else np.clip(profile(seed, 2400), 25.0, 70.0)
+    references = (
+        profile(seed, 2400)
+        if bench is RIG
+        else np.clip(profile(seed, 2400), 25.0, 70.0)
+    )
     ending = lie_to(bench, bench.guard(), bench.plant(seed), references, seed=seed)
     assert ending.fault is None
     assert ending.limited <= 24  # 1 %
@@ -404,7 +498,8 @@ def test_no_healthy_hour_of_the_real_rig_comes_near(
     alarm_second, _, most, limited = judged(recorded_hour(number), 1800)
     assert alarm_second is None
     assert limited <= (12 if number == 1 else 3)
-    assert most < (0.7 if number == 1 else 0.35)  # the sensor of the first really is frozen at its start
+    # the sensor of the first really is frozen at its start
+    assert most < (0.7 if number == 1 else 0.35)
 
 
 def test_the_lost_drive_of_a_real_hour_is_reported_with_both_rivals(
@@ -418,7 +513,13 @@ def test_the_lost_drive_of_a_real_hour_is_reported_with_both_rivals(
 
 def test_the_estimate_follows_a_plate_that_no_sensor_shows_any_longer() -> None:
     """An independent integrator is the plate; it differs from the typical one by 15 to 20 %."""
-    truth = {**RIG.typical, "seebeck": 0.07, "conductance": 0.5, "heat_capacity": 32.0, "sensor_lag": 0.0}
+    truth = {
+        **RIG.typical,
+        "seebeck": 0.07,
+        "conductance": 0.5,
+        "heat_capacity": 32.0,
+        "sensor_lag": 0.0,
+    }
     states = np.array([295.0, 295.0, 295.0])
     observer = RIG.bridge.observer(RIG.bridge.LIMITS)
     random = np.random.default_rng(4)
@@ -439,7 +540,8 @@ def test_a_long_silence_begins_again_and_a_fast_clock_is_followed() -> None:
     observer = RIG.bridge.observer(RIG.bridge.LIMITS)
     observer.take(0.0, 0.0, 25.0)
     assert observer.take(500.0, 0.0, 22.0) is None
-    assert observer.estimate == pytest.approx(21.0, abs=2.0)  # the room of the typical plant
+    # the room of the typical plant
+    assert observer.estimate == pytest.approx(21.0, abs=2.0)
     assert observer.take(3600.0, 255.0, 80.0) is None
     observer.take(1.0, 0.0, 80.0)
     assert observer.estimate == pytest.approx(80.0, abs=5.0)
@@ -449,7 +551,9 @@ drives = st.floats(-255.0, 255.0)
 readings = st.floats(-10.0, 110.0)
 
 
-@given(st.lists(st.tuples(st.floats(0.001, 5.0), drives, readings, readings), max_size=50))
+@given(
+    st.lists(st.tuples(st.floats(0.001, 5.0), drives, readings, readings), max_size=50)
+)
 def test_a_budget_is_never_negative_and_drive_that_the_reading_needs_costs_nothing(
     story: list[tuple[float, float, float, float]],
 ) -> None:
@@ -503,7 +607,9 @@ def test_clearing_a_fault_does_not_refill_the_budget() -> None:
         (("drive", "sensor"), "losses-changed", False),
     ],
 )
-def test_a_twin_accuses_those_on_whom_it_may_act(act_on: tuple[str, ...], fault: str, acts: bool) -> None:
+def test_a_twin_accuses_those_on_whom_it_may_act(
+    act_on: tuple[str, ...], fault: str, acts: bool
+) -> None:
     accusations = Accusations(act_on)
 
     def say(sample: int, *, trusted: bool = False, fault: str = "") -> str | None:
@@ -523,11 +629,20 @@ def test_a_change_without_a_name_may_turn_out_to_be_the_drive_s(over: bool) -> N
     accusations = Accusations()
     assert accusations.take(1, trusted=True, fault="", reason="") is None
     for sample in (2, 3):
-        assert accusations.take(sample, trusted=False, fault="drift", reason="or the losses") is None
+        assert (
+            accusations.take(
+                sample, trusted=False, fault="drift", reason="or the losses"
+            )
+            is None
+        )
     if over:
         assert accusations.take(4, trusted=False, fault="", reason="") is None
-    accusation = accusations.take(5, trusted=False, fault="drive-lost", reason="evidence")
-    assert accusation == (None if over else "the twin, trusted at sample 1, reports drive-lost: evidence")
+    accusation = accusations.take(
+        5, trusted=False, fault="drive-lost", reason="evidence"
+    )
+    assert accusation == (
+        None if over else "the twin, trusted at sample 1, reports drive-lost: evidence"
+    )
 
 
 @pytest.mark.parametrize(
@@ -541,6 +656,8 @@ def test_a_change_without_a_name_may_turn_out_to_be_the_drive_s(over: bool) -> N
         (lambda: ObserverLimits(margin=0.0), "observer limits: margin is 0.0"),
     ],
 )
-def test_limits_that_protect_nothing_are_refused(make: Callable[[], object], message: str) -> None:
+def test_limits_that_protect_nothing_are_refused(
+    make: Callable[[], object], message: str
+) -> None:
     with pytest.raises(SafetyError, match=message):
         make()

@@ -48,7 +48,10 @@ def test_nothing_passes_before_both_inputs_were_good() -> None:
     ("kind", "break_it"),
     [
         (FaultKind.COMMAND_SILENT, lambda g: g.temperature(25.0, 1.01)),
-        (FaultKind.TEMPERATURE_STALE, lambda g: [g.command(100.0, t / 2) for t in range(8)]),
+        (
+            FaultKind.TEMPERATURE_STALE,
+            lambda g: [g.command(100.0, t / 2) for t in range(8)],
+        ),
         (FaultKind.COMMAND_INVALID, lambda g: g.command(math.nan, 0.5)),
         (FaultKind.COMMAND_INVALID, lambda g: g.command(255.5, 0.5)),
         (FaultKind.TEMPERATURE_INVALID, lambda g: g.temperature(math.nan, 0.5)),
@@ -57,7 +60,9 @@ def test_nothing_passes_before_both_inputs_were_good() -> None:
         (FaultKind.DRIVER, lambda g: g.trip(FaultKind.DRIVER, "nSF is low", 0.5)),
     ],
 )
-def test_each_fault_zeroes_the_output_and_latches(kind: FaultKind, break_it: object) -> None:
+def test_each_fault_zeroes_the_output_and_latches(
+    kind: FaultKind, break_it: object
+) -> None:
     guard = armed()
     break_it(guard)  # type: ignore[operator]
     fault_time = 3.4 if kind is FaultKind.TEMPERATURE_STALE else 1.1
@@ -135,7 +140,10 @@ def test_held_it_does_not_arm_and_an_armed_one_latches() -> None:
     guard.hold("", 0.1)
     assert guard.output(0.1) == 100.0
     guard.hold("two nodes command", 0.2)
-    assert (guard.output(0.2), guard.fault and guard.fault.kind) == (0.0, FaultKind.SENDERS)
+    assert (guard.output(0.2), guard.fault and guard.fault.kind) == (
+        0.0,
+        FaultKind.SENDERS,
+    )
     guard.hold("", 0.3)
     assert guard.output(0.3) == 0.0
 
@@ -149,7 +157,8 @@ def test_what_is_old_on_arrival_is_not_fresh() -> None:
     assert guard.output(10.1) == 100.0
     for tenth in range(9):
         guard.command(100.0, 10.2 + tenth / 10)
-        guard.temperature(25.0, 10.2 + tenth / 10, age=2.1 + tenth / 10)  # the same one again and again
+        # the same one again and again
+        guard.temperature(25.0, 10.2 + tenth / 10, age=2.1 + tenth / 10)
     assert guard.output(11.0) == 100.0
     assert guard.output(11.2) == 0.0
     assert guard.fault is not None
@@ -168,7 +177,10 @@ def test_a_stamp_from_the_future_makes_nothing_fresher_than_now() -> None:
     ("make", "message"),
     [
         (lambda: GuardLimits(command_timeout=0.0), "command_timeout is 0.0 s"),
-        (lambda: GuardLimits(temperature_timeout=100.0), "temperature_timeout is 100.0 s"),
+        (
+            lambda: GuardLimits(temperature_timeout=100.0),
+            "temperature_timeout is 100.0 s",
+        ),
         (lambda: GuardLimits(lowest=120.0), "must be below"),
         (lambda: RunawayLimits(patience=math.nan), "patience is nan"),
         (lambda: ClockLimits(patience=0.0), "clock limits: patience is 0.0 s"),
@@ -180,7 +192,9 @@ def test_limits_that_protect_nothing_are_refused(make: object, message: str) -> 
         make()  # type: ignore[operator]
 
 
-def test_a_temperature_that_the_plant_cannot_have_is_not_believed_and_latches_if_it_stays() -> None:
+def test_a_temperature_that_the_plant_cannot_have_is_not_believed_and_latches_if_it_stays() -> (
+    None
+):
     """The dangerous one is cold: the controller heats. A few wrong readings are skipped."""
     guard = OutputGuard()
     for tick in range(120):
@@ -270,7 +284,9 @@ RIG = rig(seebeck=0.06, conductance=0.65, heat_capacity=28.0)
 
 
 def first_alarm(
-    reference: Callable[[int], float], drive: Callable[[int, float], float], ticks: int = 900
+    reference: Callable[[int], float],
+    drive: Callable[[int, float], float],
+    ticks: int = 900,
 ) -> int:
     """Run the rig in its loop with a drive that may fail; the tick of the first alarm, or `ticks`."""
     watch = Runaway()
@@ -294,7 +310,9 @@ def test_a_healthy_loop_raises_nothing_in_both_directions() -> None:
 
 
 @pytest.mark.parametrize(("onset", "within"), [(20, 90), (320, 90)])
-def test_a_lost_drive_is_found_while_heating_and_while_cooling(onset: int, within: int) -> None:
+def test_a_lost_drive_is_found_while_heating_and_while_cooling(
+    onset: int, within: int
+) -> None:
     alarm = first_alarm(both_ways, lambda k, u: u if k < onset else 0.0)
     # While cooling towards 25 °C a plate without drive still cools by itself; the alarm may only come
     # with the next heating.
@@ -313,11 +331,15 @@ def test_a_clock_set_back_starts_the_watch_again() -> None:
 
 
 @pytest.mark.parametrize("number", [1, 2, 5, 9, 14, 20])
-def test_no_alarm_over_a_healthy_hour(number: int, recorded_hour: Callable[[int], Window]) -> None:
+def test_no_alarm_over_a_healthy_hour(
+    number: int, recorded_hour: Callable[[int], Window]
+) -> None:
     assert _alarm_in(recorded_hour(number)) is None
 
 
-def test_the_lost_drive_of_a_real_hour_is_found(recorded_hour: Callable[[int], Window]) -> None:
+def test_the_lost_drive_of_a_real_hour_is_found(
+    recorded_hour: Callable[[int], Window],
+) -> None:
     alarm = _alarm_in(recorded_hour(27))
     assert alarm is not None
     assert 2235 < alarm < 2355
@@ -337,7 +359,8 @@ SECOND = 1_000_000_000
 def test_time_begins_at_zero_and_follows_the_plant() -> None:
     clock = SafetyClock()
     assert clock.read(1_700_000_000 * SECOND, 5) == 0.0
-    assert clock.read(1_700_000_010 * SECOND, 5 + SECOND) == 10.0  # ten times as fast as the wall's
+    # ten times as fast as the wall's
+    assert clock.read(1_700_000_010 * SECOND, 5 + SECOND) == 10.0
     assert not clock.stopped
 
 
@@ -372,7 +395,13 @@ def test_creeping_is_standing_still() -> None:
     assert clock.stopped
 
 
-@given(st.lists(st.tuples(st.integers(-(10**12), 10**12), st.integers(0, 10**10)), min_size=1, max_size=50))
+@given(
+    st.lists(
+        st.tuples(st.integers(-(10**12), 10**12), st.integers(0, 10**10)),
+        min_size=1,
+        max_size=50,
+    )
+)
 def test_it_never_goes_back_and_a_deadline_has_an_end_on_the_wall_clock(
     steps: list[tuple[int, int]],
 ) -> None:

@@ -45,11 +45,18 @@ def test_the_estimate_is_taken_once_the_accusation_has_lasted_until_the_sensor_i
 def test_silence_gives_nothing_back(accused: StandIn) -> None:
     value, trouble = accused.look(10.1 + PATIENCE)
     assert math.isnan(value)
-    assert trouble == "temperature is not believed, and there is no estimate; measure it and clear this"
+    assert (
+        trouble
+        == "temperature is not believed, and there is no estimate; measure it and clear this"
+    )
 
 
-@pytest.mark.parametrize(("value", "band"), [(math.nan, 0.5), (math.inf, 0.5), (40.0, 1.1), (40.0, math.nan)])
-def test_an_estimate_that_is_useless_is_not_taken(accused: StandIn, value: float, band: float) -> None:
+@pytest.mark.parametrize(
+    ("value", "band"), [(math.nan, 0.5), (math.inf, 0.5), (40.0, 1.1), (40.0, math.nan)]
+)
+def test_an_estimate_that_is_useless_is_not_taken(
+    accused: StandIn, value: float, band: float
+) -> None:
     accused.take(value, band, 1.0, 13.0)
     assert math.isnan(accused.look(13.0).value)
     assert "wide" in accused.look(13.0).trouble
@@ -70,7 +77,10 @@ def test_the_first_estimate_may_come_a_little_after_the_accusation() -> None:
 
 
 @given(
-    st.lists(st.tuples(st.floats(0.0, 1.5), st.floats(-50.0, 150.0), st.floats(0.0, 2.0)), max_size=8),
+    st.lists(
+        st.tuples(st.floats(0.0, 1.5), st.floats(-50.0, 150.0), st.floats(0.0, 2.0)),
+        max_size=8,
+    ),
     st.floats(0.0, 30.0),
 )
 def test_what_is_taken_is_a_fresh_estimate_within_its_limits(

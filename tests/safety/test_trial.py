@@ -24,11 +24,15 @@ SETTLED = 300
 OWN = law_of(Peltier, 1.0)
 assert isinstance(OWN, PidGains)
 SOUND = replace(OWN, proportional=1.5 * OWN.proportional, integral=1.5 * OWN.integral)
-UNSOUND = replace(OWN, proportional=20.0 * OWN.proportional, integral=20.0 * OWN.integral)
+UNSOUND = replace(
+    OWN, proportional=20.0 * OWN.proportional, integral=20.0 * OWN.integral
+)
 
 
 def bands(size: int = 60, half: float = 0.6, **options: int) -> TrialBands:
-    return TrialBands(np.full((size, 1), LEVEL - half), np.full((size, 1), LEVEL + half), **options)
+    return TrialBands(
+        np.full((size, 1), LEVEL - half), np.full((size, 1), LEVEL + half), **options
+    )
 
 
 class Bench:
@@ -48,7 +52,11 @@ class Bench:
 
     def step(self) -> Sample | None:
         """One tick."""
-        noisy = readings(self.truth, self.states) + 0.1 * self.random.standard_normal(1) + self.off
+        noisy = (
+            readings(self.truth, self.states)
+            + 0.1 * self.random.standard_normal(1)
+            + self.off
+        )
         if not self.silent:
             self.loop.measure(tuple(noisy.tolist()), self.k * 10**9)
         sample = self.loop.tick(self.k * 10**9, lambda _: self.level)
@@ -91,7 +99,9 @@ def test_a_sound_law_is_kept_without_a_bump(bench: Bench) -> None:
     assert trial.phase is TrialPhase.BACK
 
 
-def test_an_unsound_law_is_taken_back_and_the_old_one_holds_the_level(bench: Bench) -> None:
+def test_an_unsound_law_is_taken_back_and_the_old_one_holds_the_level(
+    bench: Bench,
+) -> None:
     bench.loop.try_law(UNSOUND, trial := LawTrial(bands()))
     highest = max(sample.output for _ in range(60) if (sample := bench.step()))
     assert trial.phase is TrialPhase.BACK
@@ -112,7 +122,9 @@ def limited(loop: Loop) -> None:
 
 
 @pytest.mark.parametrize("guard", [hold_drive, limited])
-def test_when_the_guard_acts_the_old_law_is_back(bench: Bench, guard: Callable[[Loop], None]) -> None:
+def test_when_the_guard_acts_the_old_law_is_back(
+    bench: Bench, guard: Callable[[Loop], None]
+) -> None:
     bench.loop.try_law(SOUND, trial := LawTrial(bands()))
     bench.step()
     assert trial.drives
@@ -122,7 +134,9 @@ def test_when_the_guard_acts_the_old_law_is_back(bench: Bench, guard: Callable[[
     assert trial.reason == "the guard holds or limits the drive"
 
 
-def test_when_readings_stop_the_output_is_off_and_the_old_law_is_back(bench: Bench) -> None:
+def test_when_readings_stop_the_output_is_off_and_the_old_law_is_back(
+    bench: Bench,
+) -> None:
     bench.loop.try_law(SOUND, trial := LawTrial(bands()))
     bench.step()
     bench.silent = True
@@ -199,7 +213,12 @@ def test_a_second_law_waits_for_the_first(bench: Bench) -> None:
 def test_bands_and_gains_that_are_not_numbers_are_refused() -> None:
     low = np.full((5, 1), 1.0)
     high = np.full((5, 1), 2.0)
-    for ends in ((high, low), (low, np.full((5, 1), math.nan)), (low[:0], high[:0]), (low, high[:4])):
+    for ends in (
+        (high, low),
+        (low, np.full((5, 1), math.nan)),
+        (low[:0], high[:0]),
+        (low, high[:4]),
+    ):
         with pytest.raises(TrialError, match="pairs of finite ends"):
             TrialBands(*ends)
     for options in ({"shadow": -1}, {"patience": 0}, {"patience": 6}):
@@ -209,8 +228,13 @@ def test_bands_and_gains_that_are_not_numbers_are_refused() -> None:
         replace(OWN, proportional=math.nan)
 
 
-@given(outside=st.lists(st.booleans(), min_size=1, max_size=60), patience=st.integers(1, 20))
-def test_it_is_taken_back_exactly_when_more_is_missed_than_stated(outside: list[bool], patience: int) -> None:
+@given(
+    outside=st.lists(st.booleans(), min_size=1, max_size=60),
+    patience=st.integers(1, 20),
+)
+def test_it_is_taken_back_exactly_when_more_is_missed_than_stated(
+    outside: list[bool], patience: int
+) -> None:
     """Samples outside count one, those inside take one back; NaN is outside."""
     trial = LawTrial(bands(patience=patience))
     missed = 0

@@ -12,24 +12,55 @@ from hypothesis import strategies as st
 from twinmatch.sampling.channels import Channel, SamplingError
 from twinmatch.sampling.document_paths import by_name
 from twinmatch.sampling.heard import Heard
-from twinmatch.sampling.payloads import document_of, numbers_in, parse_place, place_text, value_at
+from twinmatch.sampling.payloads import (
+    document_of,
+    numbers_in,
+    parse_place,
+    place_text,
+    value_at,
+)
 from twinmatch.sampling.sources import parse_map
 
 TEXTS = st.text(max_size=6) | st.sampled_from(
-    ["light:0", "a b", "a;b", "a,b", "a=b", '"', "\\", "[x]", "0", "007", "é", "a.b", " a", "\x07", "n", "id"]
+    [
+        "light:0",
+        "a b",
+        "a;b",
+        "a,b",
+        "a=b",
+        '"',
+        "\\",
+        "[x]",
+        "0",
+        "007",
+        "é",
+        "a.b",
+        " a",
+        "\x07",
+        "n",
+        "id",
+    ]
 )
 DOCUMENTS = st.recursive(
     st.floats(allow_nan=False, allow_infinity=False),
     lambda inner: (
         st.dictionaries(TEXTS, inner, min_size=1, max_size=3)
         | st.lists(inner, min_size=1, max_size=3)
-        | st.lists(st.fixed_dictionaries({"n": TEXTS, "v": inner}), min_size=1, max_size=3)
+        | st.lists(
+            st.fixed_dictionaries({"n": TEXTS, "v": inner}), min_size=1, max_size=3
+        )
     ),
     max_leaves=8,
 )
 TOPICS = st.lists(
-    st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0#+"), min_size=1, max_size=8)
-    | st.sampled_from(["light:0", "aa:bb:cc:dd:ee:ff", "a;b", 'say "x"', "a, b", "rpc:params.x"]),
+    st.text(
+        st.characters(exclude_categories=["Cs"], exclude_characters="\0#+"),
+        min_size=1,
+        max_size=8,
+    )
+    | st.sampled_from(
+        ["light:0", "aa:bb:cc:dd:ee:ff", "a;b", 'say "x"', "a, b", "rpc:params.x"]
+    ),
     min_size=1,
     max_size=3,
 ).map("/".join)
@@ -50,7 +81,11 @@ def test_every_place_that_is_printed_can_be_pasted(topic: str, document: Any) ->
 @pytest.mark.parametrize(
     ("text", "topic", "path"),
     [
-        ("shelly/events/rpc:params.light:0.brightness", "shelly/events/rpc", "params.light:0.brightness"),
+        (
+            "shelly/events/rpc:params.light:0.brightness",
+            "shelly/events/rpc",
+            "params.light:0.brightness",
+        ),
         ("shelly/status/light:0:brightness", "shelly/status/light:0", "brightness"),
         ("shelly/status/temperature:100", "shelly/status/temperature:100", ""),
         ("home/a4:c1:38:00:11:22", "home/a4:c1:38:00:11:22", ""),

@@ -37,23 +37,30 @@ def at(text: str, **arguments: float) -> float:
         ("9**9**9 * a", {"a": 1.0}, math.nan),
     ],
 )
-def test_arithmetic_of_a_map(text: str, arguments: dict[str, float], value: float) -> None:
+def test_arithmetic_of_a_map(
+    text: str, arguments: dict[str, float], value: float
+) -> None:
     assert at(text, **arguments) == pytest.approx(value, nan_ok=True)
 
 
 @given(st.lists(st.tuples(FINITE, FINITE), min_size=1, max_size=20))
-def test_many_moments_are_computed_as_one_after_the_other(rows: list[tuple[float, float]]) -> None:
+def test_many_moments_are_computed_as_one_after_the_other(
+    rows: list[tuple[float, float]],
+) -> None:
     formula = MapFormula("rate(a) + (b if b > 0 else -b)")
     seconds = np.arange(len(rows), dtype=float)
     columns = {"a": np.array([a for a, _ in rows]), "b": np.array([b for _, b in rows])}
     computing = Computing(formula)
-    singly = [computing.value({"a": a, "b": b}, float(k)) for k, (a, b) in enumerate(rows)]
+    singly = [
+        computing.value({"a": a, "b": b}, float(k)) for k, (a, b) in enumerate(rows)
+    ]
     np.testing.assert_array_equal(singly, formula.values(columns, seconds))
 
 
 def test_a_rate_is_that_of_a_counter() -> None:
     values = MapFormula("rate(c) * 3600").values(
-        {"c": np.array([10.0, 12.0, 12.0, 1.0, 2.0])}, np.array([0.0, 3600.0, 7200.0, 10800.0, 12600.0])
+        {"c": np.array([10.0, 12.0, 12.0, 1.0, 2.0])},
+        np.array([0.0, 3600.0, 7200.0, 10800.0, 12600.0]),
     )
     np.testing.assert_allclose(values, [math.nan, 2.0, 0.0, math.nan, 2.0])
 
@@ -62,7 +69,8 @@ def test_a_message_that_is_sent_again_at_once_has_the_rate_of_the_first() -> Non
     computing = Computing(MapFormula("rate(c)"))
     times = (0.0, 0.002, 10.0, 10.002, 20.0)
     rates = [
-        computing.value({"c": count}, seconds) for count, seconds in zip((1, 1, 6, 6, 8), times, strict=True)
+        computing.value({"c": count}, seconds)
+        for count, seconds in zip((1, 1, 6, 6, 8), times, strict=True)
     ]
     np.testing.assert_allclose(rates, [math.nan, math.nan, 0.5, 0.5, 0.2])
 
@@ -91,7 +99,9 @@ def test_a_map_names_what_its_formula_computes_with() -> None:
     assert source.separate == ("holding/40:uint16", "holding/41")
     assert source.words == {"n/a": 0.0}
     assert parse_source("here", source.text) == source
-    channels = source.channels("output", lambda place: parse_channel(f"/{place.partition(':')[0]}"))
+    channels = source.channels(
+        "output", lambda place: parse_channel(f"/{place.partition(':')[0]}")
+    )
     followed = source.follow("output", "°C", channels, ["", ""])
     assert followed.value([680.0, -1.0], 0.0) == pytest.approx(20.0)
 

@@ -51,10 +51,14 @@ class WaitingValues:
 
 
 def test_a_tick_has_its_own_values_though_newer_ones_wait_when_it_is_read() -> None:
-    parameters = {f"map.{name}": place for name, place in PLACES.items()} | {"period": PERIOD / NANOSECONDS}
+    parameters = {f"map.{name}": place for name, place in PLACES.items()} | {
+        "period": PERIOD / NANOSECONDS
+    }
     clock_time = 1_000 * NANOSECONDS
     listener = listener_of(
-        "sampler", check("sampler", *understood("sampler", parameters)), lambda: clock_time
+        "sampler",
+        check("sampler", *understood("sampler", parameters)),
+        lambda: clock_time,
     )
     opened: list[WaitingValues] = []
 
@@ -67,17 +71,26 @@ def test_a_tick_has_its_own_values_though_newer_ones_wait_when_it_is_read() -> N
     samples = []
     for tick in range(6):
         opened[0].waiting.append((clock_time, 20.0 + tick))
-        samples += listener.samples()  # once per period, while a tick is ready a tenth of a period later
+        # once per period, while a tick is ready a tenth of a period later
+        samples += listener.samples()
         clock_time += PERIOD
     samples += listener.samples()
-    assert [(s.index, s.output, s.input) for s in samples] == [(k, 20.0 + k, 20.0 + k) for k in range(6)]
+    assert [(s.index, s.output, s.input) for s in samples] == [
+        (k, 20.0 + k, 20.0 + k) for k in range(6)
+    ]
 
 
 class Spoken:
     """A listener whose source says what a test gives it, by a clock of its own."""
 
-    def __init__(self, *, paced_by: str, max_age: float = 0.0, entry: str = "/state:data") -> None:
-        parameters: dict[str, Any] = {"map.output": "/plate:data", "map.input": entry, "paced_by": paced_by}
+    def __init__(
+        self, *, paced_by: str, max_age: float = 0.0, entry: str = "/state:data"
+    ) -> None:
+        parameters: dict[str, Any] = {
+            "map.output": "/plate:data",
+            "map.input": entry,
+            "paced_by": paced_by,
+        }
         parameters |= {"period": 3.0, "max_age.input": max_age}
         self.time = 1_000 * NANOSECONDS
         self.is_timed = paced_by == "timer"
@@ -103,7 +116,9 @@ class Spoken:
         return values
 
 
-def test_a_value_ends_when_something_newer_cannot_be_read_and_its_text_is_reported() -> None:
+def test_a_value_ends_when_something_newer_cannot_be_read_and_its_text_is_reported() -> (
+    None
+):
     spoken = Spoken(paced_by="timer", entry="/state:data; scale=80")
     spoken.say("heat")
     assert spoken.inputs(12.0) == [80.0] * 3
@@ -157,7 +172,9 @@ def test_a_word_whose_number_the_drive_cannot_have_leads_to_the_map() -> None:
     spoken = Spoken(paced_by="timer", entry="/state:data; scale=800")
     spoken.say("cooling")
     assert spoken.inputs(9.0) == []
-    assert "if 'cooling' means 1, append '; cooling=1'" in spoken.listener.trouble("input")
+    assert "if 'cooling' means 1, append '; cooling=1'" in spoken.listener.trouble(
+        "input"
+    )
 
 
 def test_a_word_beside_numbers_is_reported_since_it_may_be_a_setting() -> None:

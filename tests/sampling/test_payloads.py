@@ -23,13 +23,15 @@ from twinmatch.sampling.payloads import (
 )
 from twinmatch.sampling.written_numbers import written_number
 
-KEYS = st.text(st.characters(categories=["L", "Nd"], include_characters=" -_"), min_size=1).filter(
-    lambda key: key == key.strip() and key[0].isascii() and key[0].isalpha()
-)
+KEYS = st.text(
+    st.characters(categories=["L", "Nd"], include_characters=" -_"), min_size=1
+).filter(lambda key: key == key.strip() and key[0].isascii() and key[0].isalpha())
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 DOCUMENTS = st.recursive(
     NUMBERS,
-    lambda inner: st.dictionaries(KEYS, inner, min_size=1) | st.lists(inner, min_size=1),
+    lambda inner: (
+        st.dictionaries(KEYS, inner, min_size=1) | st.lists(inner, min_size=1)
+    ),
     max_leaves=8,
 )
 
@@ -57,7 +59,8 @@ def test_every_number_that_is_listed_is_found_at_its_path(document: Any) -> None
         assert number_at(sent, path) == value
     if len(listed) == 1:
         assert number_at(sent, "") == listed[0][1]
-    if json.dumps(document).count("{") + json.dumps(document).count("[") < 8:  # the depth that is listed
+    if json.dumps(document).count("{") + json.dumps(document).count("[") < 8:
+        # the depth that is listed
         assert [value for _, value in listed] == leaves(document)
 
 
@@ -77,7 +80,9 @@ def test_every_number_that_is_listed_is_found_at_its_path(document: Any) -> None
         (b"[20, 21.5]", "[1]", 21.5),
     ],
 )
-def test_what_home_automation_sends_is_a_number(payload: bytes, path: str, number: float) -> None:
+def test_what_home_automation_sends_is_a_number(
+    payload: bytes, path: str, number: float
+) -> None:
     assert number_at(document_of(payload), path) == number
 
 
@@ -95,7 +100,9 @@ def test_what_home_automation_sends_is_a_number(payload: bytes, path: str, numbe
         (b"\xff\xfe", "", "is not a number"),
     ],
 )
-def test_what_lacks_a_number_is_refused_with_those_there_are(payload: bytes, path: str, words: str) -> None:
+def test_what_lacks_a_number_is_refused_with_those_there_are(
+    payload: bytes, path: str, words: str
+) -> None:
     with pytest.raises(SamplingError) as caught:
         number_at(document_of(payload), path)
     assert words in str(caught.value)
@@ -116,11 +123,17 @@ def test_ten_thousand_malformed_payloads_are_errors_of_one_kind() -> None:
         mangled = bytearray(good * random_bytes.randint(0, 2))
         for _ in range(random_bytes.randint(1, 5)):
             where = random_bytes.randint(0, len(mangled))
-            mangled[where : where + random_bytes.randint(0, 9)] = random_bytes.randbytes(k % 7)
-        assert number_or_refusal(bytes(mangled), "room.temperature").isprintable(), mangled
+            mangled[where : where + random_bytes.randint(0, 9)] = (
+                random_bytes.randbytes(k % 7)
+            )
+        assert number_or_refusal(bytes(mangled), "room.temperature").isprintable(), (
+            mangled
+        )
 
 
-@pytest.mark.parametrize("payload", [b"[" * 100_000, b"9" * 10_000, b'{"a":' * 5000, b"0" * 2_000_000])
+@pytest.mark.parametrize(
+    "payload", [b"[" * 100_000, b"9" * 10_000, b'{"a":' * 5000, b"0" * 2_000_000]
+)
 def test_payloads_that_are_long_or_deep_do_no_harm(payload: bytes) -> None:
     assert 0 < len(number_or_refusal(payload, "")) < 200
 
@@ -134,7 +147,10 @@ def test_payloads_that_are_long_or_deep_do_no_harm(payload: bytes) -> None:
         ("2023-11-14T22:13:20Z", 1_700_000_000.0),
         ("2023-11-14T23:13:20.500+01:00", 1_700_000_000.5),
         (
-            datetime.fromtimestamp(1_700_000_000, timezone.utc).astimezone().replace(tzinfo=None).isoformat(),
+            datetime.fromtimestamp(1_700_000_000, timezone.utc)
+            .astimezone()
+            .replace(tzinfo=None)
+            .isoformat(),
             1.7e9,
         ),
     ],
@@ -151,7 +167,9 @@ def test_what_lacks_a_time_is_refused(time: Any) -> None:
 
 def test_places_are_topics_with_paths() -> None:
     assert parse_place("home/room/t") == Channel("home/room/t", "")
-    assert parse_place(" home/Living room : a.b[0] ") == Channel("home/Living room", "a.b[0]")
+    assert parse_place(" home/Living room : a.b[0] ") == Channel(
+        "home/Living room", "a.b[0]"
+    )
     for text in ("", ":a", "home/#", "home/+/t", "a:b c"):
         with pytest.raises(SamplingError):
             parse_place(text)

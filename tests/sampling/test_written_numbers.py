@@ -30,12 +30,15 @@ from twinmatch.sessions.files import RecordingError
         ("12 m³/h", 12.0, "m³/h"),
     ],
 )
-def test_what_devices_write_is_a_number_with_its_unit(text: str, value: float, unit: str) -> None:
+def test_what_devices_write_is_a_number_with_its_unit(
+    text: str, value: float, unit: str
+) -> None:
     assert written_number(text) == (value, unit)
 
 
 @pytest.mark.parametrize(
-    "text", ["", "blah", "unavailable", "drying", "fan", "1.2.3", "1_000", "12:30", "1,234"]
+    "text",
+    ["", "blah", "unavailable", "drying", "fan", "1.2.3", "1_000", "12:30", "1,234"],
 )
 def test_what_is_not_a_number_or_may_be_two_is_refused_with_its_text(text: str) -> None:
     with pytest.raises(UnreadableError) as caught:
@@ -45,16 +48,23 @@ def test_what_is_not_a_number_or_may_be_two_is_refused_with_its_text(text: str) 
 
 def test_a_map_gives_numbers_to_words_and_to_none_but_these() -> None:
     source = parse_source(
-        "here", "zigbee2mqtt/bath:running_state; scale=80; Drying=0.5; cooling=0; unavailable=0"
+        "here",
+        "zigbee2mqtt/bath:running_state; scale=80; Drying=0.5; cooling=0; unavailable=0",
     )
     assert source.words == {"drying": 0.5, "cooling": 0.0, "unavailable": 0.0}
-    assert [source.number(text, "%") for text in ("drying", "cooling", "heat")] == [0.5, 0.0, 1.0]
+    assert [source.number(text, "%") for text in ("drying", "cooling", "heat")] == [
+        0.5,
+        0.0,
+        1.0,
+    ]
     assert parse_source("here", source.text) == source
     with pytest.raises(UnreadableError):
         source.number("fan", "%")
 
 
-@pytest.mark.parametrize("setting", ["scael=0.1", "units=K", "factor=2", "offest=1", "Scale=2"])
+@pytest.mark.parametrize(
+    "setting", ["scael=0.1", "units=K", "factor=2", "offest=1", "Scale=2"]
+)
 def test_a_misspelt_setting_is_not_taken_for_a_word(setting: str) -> None:
     with pytest.raises(RecordingError):
         parse_source("here", f"T; {setting}")
@@ -64,8 +74,11 @@ def test_a_unit_in_a_value_is_converted_to_that_of_the_signal() -> None:
     plain = parse_source("here", "room/t")
     assert plain.number("68 °F", "°C") == pytest.approx(20.0)
     assert plain.number("50%", "1") == pytest.approx(0.5)
-    assert parse_source("here", "room/t; unit=K").number("20 °C", "°C") == pytest.approx(293.15)
-    assert parse_source("here", "room/t; scale=2").number("20 V", "°C") == 20.0  # the map says what it means
+    assert parse_source("here", "room/t; unit=K").number(
+        "20 °C", "°C"
+    ) == pytest.approx(293.15)
+    # the map says what it means
+    assert parse_source("here", "room/t; scale=2").number("20 V", "°C") == 20.0
     for text in ("20 V", "20 wibble"):
         with pytest.raises(UnreadableError, match="is not in °C"):
             plain.number(text, "°C")

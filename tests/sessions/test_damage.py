@@ -34,7 +34,9 @@ COUNT = 60
 
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
 @pytest.mark.parametrize("kind", range(len(KINDS)))
-def test_no_sample_is_lost_that_a_plain_reader_finds(tmp_path: Path, kind: int, compression) -> None:
+def test_no_sample_is_lost_that_a_plain_reader_finds(
+    tmp_path: Path, kind: int, compression
+) -> None:
     """`python -m benchmarks.damage` does the same with more and longer files."""
     sound = whole_file(COUNT, 10, compression)
     samples_of_whole = samples_in(sound)
@@ -50,24 +52,38 @@ def test_no_sample_is_lost_that_a_plain_reader_finds(tmp_path: Path, kind: int, 
             assert not plainly_found(content, samples_of_whole)
             continue
         assert len(samples) == len(ours)
-        assert len(ours & samples_of_whole) >= len(plainly_found(content, samples_of_whole))
+        assert len(ours & samples_of_whole) >= len(
+            plainly_found(content, samples_of_whole)
+        )
         faults = repair_session(session).faults
-        assert strictly_read(content) or any("damaged" in f or "truncated" in f for f in faults)
-        assert {encode_sample(s) for s in read_session(session).samples} >= ours & samples_of_whole
+        assert strictly_read(content) or any(
+            "damaged" in f or "truncated" in f for f in faults
+        )
+        assert {
+            encode_sample(s) for s in read_session(session).samples
+        } >= ours & samples_of_whole
 
 
 def damaged(folder: Path) -> Path:
     """A session of which one chunk has a wrong checksum."""
     content = whole_file(COUNT, 10)
-    place = content.index(encode_sample(Sample(25, 1_000_025 * 10**9, 30.0, 25.5, 1.0))) + 80
-    return as_session(folder, content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+    place = (
+        content.index(encode_sample(Sample(25, 1_000_025 * 10**9, 30.0, 25.5, 1.0)))
+        + 80
+    )
+    return as_session(
+        folder, content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
+    )
 
 
 def test_what_is_missing_is_said_where_a_session_is_opened(tmp_path, capsys):
     session = open_shown(damaged(tmp_path / "run"))
     assert session.missing == session.notes[: len(session.missing)]
     printed = capsys.readouterr().err
-    assert "session run is not complete: run_0.mcap: the file is damaged: the checksum of a chunk" in printed
+    assert (
+        "session run is not complete: run_0.mcap: the file is damaged: the checksum of a chunk"
+        in printed
+    )
     assert "20 messages were read that no checksum confirms" in printed
 
 
@@ -98,10 +114,14 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_says_what_is_missing(command: str, tmp_path: Path, monkeypatch, capsys) -> None:
+def test_every_command_says_what_is_missing(
+    command: str, tmp_path: Path, monkeypatch, capsys
+) -> None:
     """Before anything else, so a minute is enough, for which most have nothing else to say."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "law.json").write_text(json.dumps(LAW))
     main([command, str(damaged(tmp_path / "run")), *COMMANDS[command]])
     printed = capsys.readouterr()
-    assert "the checksum of a chunk is wrong" in " ".join((printed.out + printed.err).split())
+    assert "the checksum of a chunk is wrong" in " ".join(
+        (printed.out + printed.err).split()
+    )

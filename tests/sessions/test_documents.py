@@ -34,18 +34,41 @@ from twinmatch.parameters.twin import read_settings
 from twinmatch.plants import Peltier
 from twinmatch.plants.records import parameters_from
 from twinmatch.sessions import SessionError, messages
-from twinmatch.sessions.documents import MAX_BYTES, DocumentError, parse_json, parse_yaml, read_yaml
-from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE, Qos, Topic, fields_of, schema_of
+from twinmatch.sessions.documents import (
+    MAX_BYTES,
+    DocumentError,
+    parse_json,
+    parse_yaml,
+    read_yaml,
+)
+from twinmatch.sessions.messages import (
+    PLANT_TOPICS,
+    SAMPLE,
+    Qos,
+    Topic,
+    fields_of,
+    schema_of,
+)
 from twinmatch.sessions.metadata import files_listed, parse_qos
 
 texts = st.text(
-    st.characters(exclude_categories=("Cs", "Cc"), exclude_characters="\ufeff\ufffe\uffff"), max_size=12
+    st.characters(
+        exclude_categories=("Cs", "Cc"), exclude_characters="\ufeff\ufffe\uffff"
+    ),
+    max_size=12,
 )
 scalars = (
-    st.none() | st.booleans() | st.integers(-(2**63) + 1, 2**63 - 1) | st.floats(allow_nan=False) | texts
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63) + 1, 2**63 - 1)
+    | st.floats(allow_nan=False)
+    | texts
 )
 trees = st.recursive(
-    scalars, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(texts, inner, max_size=4)
+    scalars,
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(texts, inner, max_size=4)
+    ),
 )
 
 
@@ -69,8 +92,14 @@ def test_the_files_of_this_project_are_read_as_pyyaml_reads_them(path: Path) -> 
     ("text", "value"),
     [
         ("a: &x {b: 1}\nc: *x", {"a": {"b": 1}, "c": {"b": 1}}),
-        ("a: &x {b: 1, d: 2}\nc: {<<: *x, b: 3}", {"a": {"b": 1, "d": 2}, "c": {"b": 3, "d": 2}}),
-        ("a: &x {b: 1}\ne: &y {b: 2}\nc: {<<: [*x, *y]}", {"a": {"b": 1}, "e": {"b": 2}, "c": {"b": 1}}),
+        (
+            "a: &x {b: 1, d: 2}\nc: {<<: *x, b: 3}",
+            {"a": {"b": 1, "d": 2}, "c": {"b": 3, "d": 2}},
+        ),
+        (
+            "a: &x {b: 1}\ne: &y {b: 2}\nc: {<<: [*x, *y]}",
+            {"a": {"b": 1}, "e": {"b": 2}, "c": {"b": 1}},
+        ),
         ("name: 2022-02-27", {"name": "2022-02-27"}),
         ("name: 2022-13-45", {"name": "2022-13-45"}),
         ("1: a\nyes: b", {"1": "a", "yes": "b"}),
@@ -88,13 +117,18 @@ def test_what_stands_in_a_file_means_this(text: str, value: Any) -> None:
 
 def laughs(levels: int) -> str:
     lines = ["l0: &l0 [ha, ha, ha, ha, ha, ha, ha, ha, ha, ha]"]
-    lines += [f"l{k}: &l{k} [{', '.join([f'*l{k - 1}'] * 10)}]" for k in range(1, levels)]
+    lines += [
+        f"l{k}: &l{k} [{', '.join([f'*l{k - 1}'] * 10)}]" for k in range(1, levels)
+    ]
     return "\n".join(lines)
 
 
 def merges(levels: int) -> str:
     lines = ["l0: &l0 {a: 1, b: 2, c: 3}"]
-    lines += [f"l{k}: &l{k} {{<<: [{', '.join([f'*l{k - 1}'] * 10)}]}}" for k in range(1, levels)]
+    lines += [
+        f"l{k}: &l{k} {{<<: [{', '.join([f'*l{k - 1}'] * 10)}]}}"
+        for k in range(1, levels)
+    ]
     return "\n".join(lines)
 
 
@@ -105,13 +139,25 @@ HOSTILE = {
     "many": ("[" + "1," * 40_000 + "]", "has more than 20000 values"),
     "deep lists": ("[" * 1000 + "]" * 1000, "is nested deeper than 32 levels"),
     "deeper lists": ("[" * 50_000, "is nested deeper|nesting depth"),
-    "deep mappings": ("{a: " * 1000 + "1" + "}" * 1000, "is nested deeper than 32 levels"),
-    "deep blocks": ("\n".join(" " * k + "a:" for k in range(1000)), "is nested deeper|nesting depth"),
+    "deep mappings": (
+        "{a: " * 1000 + "1" + "}" * 1000,
+        "is nested deeper than 32 levels",
+    ),
+    "deep blocks": (
+        "\n".join(" " * k + "a:" for k in range(1000)),
+        "is nested deeper|nesting depth",
+    ),
     "itself": ("a: &a [*a]", "line 1: is nested deeper than 32 levels"),
     "its parent": ("a: &a {b: {c: *a}}", "line 1: is nested deeper than 32 levels"),
     "nobody": ("a: *b", "is not valid YAML in line 1: found undefined alias"),
-    "large": ("a: 1" + "0" * 399, "is too large for a whole number|is too long for a number"),
-    "64 bits": (f"a: {2**63}", "is too large for a whole number; write it with an exponent"),
+    "large": (
+        "a: 1" + "0" * 399,
+        "is too large for a whole number|is too long for a number",
+    ),
+    "64 bits": (
+        f"a: {2**63}",
+        "is too large for a whole number; write it with an exponent",
+    ),
     "digits": ("a: " + "7" * 5000, "is too long for a number"),
     "hexadecimal": ("a: 0x" + "f" * 5000, "is too long for a number"),
     "beyond": ("a: 1.0e+999", "is too large for a number"),
@@ -172,13 +218,22 @@ def test_any_text_is_a_document_or_refused(text: str) -> None:
         try:
             parse(text, "file")
         except DocumentError as error:
-            assert str(error).startswith("file: ")  # noqa: PT017 - either outcome is right
+            assert str(error).startswith("file: ")  # noqa: PT017
 
 
 # The same through those who read them.
 
 
-SOME = ("laughs", "deep lists", "itself", "large", "object", "twice", "torn", "zero byte")
+SOME = (
+    "laughs",
+    "deep lists",
+    "itself",
+    "large",
+    "object",
+    "twice",
+    "torn",
+    "zero byte",
+)
 """One of each kind."""
 
 
@@ -204,7 +259,9 @@ def test_no_reader_of_files_lets_it_through_or_waits_for_one_that_never_ends(
             read(path)
 
 
-def test_metadata_and_qualities_of_service_that_would_do_harm_are_none(tmp_path: Path) -> None:
+def test_metadata_and_qualities_of_service_that_would_do_harm_are_none(
+    tmp_path: Path,
+) -> None:
     for name in SOME:
         (tmp_path / "metadata.yaml").write_text(text := HOSTILE[name][0])
         with within(10, 100):
@@ -214,10 +271,16 @@ def test_metadata_and_qualities_of_service_that_would_do_harm_are_none(tmp_path:
 
 def entry(**changes: object) -> str:
     fields = {"name": "a", "operating_point": 50.0, "seebeck": 0.08} | changes
-    return "candidates:\n  - {" + ", ".join(f"{key}: {value}" for key, value in fields.items()) + "}\n"
+    return (
+        "candidates:\n  - {"
+        + ", ".join(f"{key}: {value}" for key, value in fields.items())
+        + "}\n"
+    )
 
 
-@pytest.mark.parametrize("field", ["operating_point", "seebeck", "conductance", "name", "plant", "structure"])
+@pytest.mark.parametrize(
+    "field", ["operating_point", "seebeck", "conductance", "name", "plant", "structure"]
+)
 @pytest.mark.parametrize(
     "value",
     [
@@ -233,12 +296,14 @@ def entry(**changes: object) -> str:
         '"\\e[2J"',
     ],
 )
-def test_no_field_of_a_candidate_takes_what_it_cannot_be(field: str, value: str) -> None:
+def test_no_field_of_a_candidate_takes_what_it_cannot_be(
+    field: str, value: str
+) -> None:
     with within(10, 50):
         try:
             (candidate,) = parse_candidates(entry(**{field: value}), "file")
         except TwinmatchError as error:
-            assert "\n" not in str(error)  # noqa: PT017 - for names, either outcome is right
+            assert "\n" not in str(error)  # noqa: PT017
             assert str(error).isprintable()  # noqa: PT017
             assert len(str(error)) < 800  # noqa: PT017
         else:
@@ -251,16 +316,23 @@ def test_no_field_of_a_candidate_takes_what_it_cannot_be(field: str, value: str)
 
 def test_an_operating_point_is_a_reading_that_the_sensor_can_give() -> None:
     for value in (".inf", "-.inf", "-300.0", "1.0e+6", "1.0e+300"):
-        with pytest.raises(CandidateFileError, match=r"1: operating_point is .* give a value within"):
+        with pytest.raises(
+            CandidateFileError, match=r"1: operating_point is .* give a value within"
+        ):
             parse_candidates(entry(operating_point=value), "file")
 
 
 @pytest.mark.parametrize("option", ["--candidates", "--config"])
 @pytest.mark.parametrize("name", ["laughs", "large", "deep lists"])
-def test_commands_end_with_one_line(tmp_path: Path, capsys: Any, option: str, name: str) -> None:
+def test_commands_end_with_one_line(
+    tmp_path: Path, capsys: Any, option: str, name: str
+) -> None:
     path = tmp_path / "file.yaml"
     path.write_text(HOSTILE[name][0])
-    assert main(["replay", str(PROJECT / "bags" / "four_setpoints"), option, str(path)]) == 2
+    assert (
+        main(["replay", str(PROJECT / "bags" / "four_setpoints"), option, str(path)])
+        == 2
+    )
     assert capsys.readouterr().err.count("\n") == 1
 
 
@@ -274,14 +346,18 @@ def entry_candidates(text: str) -> str:
 def test_the_papers_family_has_the_papers_structure() -> None:
     family = read_candidates(PROJECT / "config" / "paper_candidates.yaml")
     assert [c.operating_point for c in family] == [30.0, 50.0, 70.0, 90.0]
-    assert family[0].parameters == rig(seebeck=0.0963, conductance=0.3, heat_capacity=34.9)
+    assert family[0].parameters == rig(
+        seebeck=0.0963, conductance=0.3, heat_capacity=34.9
+    )
     assert {c.parameters.model for c in family} == {Peltier.model()}
 
 
 def test_remembered_candidates_come_back_from_their_text_bit_for_bit() -> None:
     free = Peltier.model().structure.free
     spread = np.diag(np.square([0.1 / 3.0, 1.0 / 7.0, 2.0 / 3.0]))
-    remembered = Candidate("remembered", 50.0, rig(seebeck=0.1 / 3.0), None, free, spread)
+    remembered = Candidate(
+        "remembered", 50.0, rig(seebeck=0.1 / 3.0), None, free, spread
+    )
     exact = Candidate("paper", 30.0, rig("sink with mass"), None)
     read = parse_candidates(candidates_text([remembered, exact]), "file")
     assert [(c.name, c.operating_point, c.parameters, c.free) for c in read] == [
@@ -289,11 +365,15 @@ def test_remembered_candidates_come_back_from_their_text_bit_for_bit() -> None:
     ]
     np.testing.assert_allclose(np.diag(read[0].covariance), np.diag(spread), rtol=1e-15)
     assert [c.remembered for c in read] == [True, False]
-    assert candidates_text(read) == candidates_text(parse_candidates(candidates_text(read), "file"))
+    assert candidates_text(read) == candidates_text(
+        parse_candidates(candidates_text(read), "file")
+    )
 
 
 def test_a_structure_is_taken_by_its_name() -> None:
-    text = entry_candidates("plant: peltier, structure: 'sink with mass, sensor lag', sensor_lag: 0.4")
+    text = entry_candidates(
+        "plant: peltier, structure: 'sink with mass, sensor lag', sensor_lag: 0.4"
+    )
     (candidate,) = parse_candidates(text, "family")
     assert candidate.parameters == rig("sink with mass, sensor lag", sensor_lag=0.4)
 
@@ -302,21 +382,35 @@ def test_without_a_structure_the_values_say_which_parts_there_are() -> None:
     (candidate,) = parse_candidates(
         entry_candidates("sink_heat_capacity: 250.0, sink_convection: 6.0"), "family"
     )
-    assert candidate.parameters == rig("sink with mass", sink_heat_capacity=250.0, sink_convection=6.0)
+    assert candidate.parameters == rig(
+        "sink with mass", sink_heat_capacity=250.0, sink_convection=6.0
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("seebek: 0.1", "no parameter 'seebek' in this structure; it has seebeck, resistance"),
+        (
+            "seebek: 0.1",
+            "no parameter 'seebek' in this structure; it has seebeck, resistance",
+        ),
         ("seebeck: high", "seebeck: is 'high'; give a number"),
         ("seebeck: -1.0", "seebeck is -1 V/K; it must be finite and at least 0"),
         ("plant: kettle", "plant 'kettle': not known; choose from peltier"),
         ("structure: two sinks", "no structure 'two sinks'; it has held sink"),
-        ("structure: held sink, sensor_lag: 1.0", "no parameter 'sensor_lag' in this structure"),
+        (
+            "structure: held sink, sensor_lag: 1.0",
+            "no parameter 'sensor_lag' in this structure",
+        ),
         ("deviations: 3", "deviations: is 3; give names with values"),
-        ("deviations: {seebeck: 0.01}", "'held sink' needs those of seebeck, conductance, heat"),
-        ("deviations: {seebeck: high}", "deviation of seebeck: is 'high'; give a number"),
+        (
+            "deviations: {seebeck: 0.01}",
+            "'held sink' needs those of seebeck, conductance, heat",
+        ),
+        (
+            "deviations: {seebeck: high}",
+            "deviation of seebeck: is 'high'; give a number",
+        ),
         (
             "deviations: {seebeck: 0.01, conductance: 0.0, heat_capacity: 1}",
             "deviation of conductance is 0; give a positive finite number",
@@ -342,7 +436,10 @@ OLD = {
     [
         ({}, "held sink"),
         ({"sink_heat_capacity": 250.0}, "sink with mass"),
-        ({"sink_heat_capacity": 250.0, "sensor_lag": 0.5}, "sink with mass, sensor lag"),
+        (
+            {"sink_heat_capacity": 250.0, "sensor_lag": 0.5},
+            "sink with mass, sensor lag",
+        ),
         (
             {"sink_heat_capacity": 250.0, "seebeck_slope": 1e-4},
             "sink with mass, free ambient, switched drive, α(T)",
@@ -360,8 +457,14 @@ def test_what_was_written_down_before_plants_had_structures(
     values = OLD | changes
     parameters = parameters_from("", "", values)
     assert parameters.model is Peltier.model(structure)
-    assert all(parameters[name] == value for name, value in values.items() if name in parameters)
-    assert {name for name, value in values.items() if value and math.isfinite(value)} <= set(parameters)
+    assert all(
+        parameters[name] == value
+        for name, value in values.items()
+        if name in parameters
+    )
+    assert {
+        name for name, value in values.items() if value and math.isfinite(value)
+    } <= set(parameters)
 
 
 def test_a_sink_that_was_held_beside_a_lag_is_a_sink_that_hardly_moves() -> None:
@@ -388,11 +491,17 @@ def test_schemas_and_hashes_are_the_installed_ones(topic: Topic) -> None:
     assert bare(schema_of(topic.type)) == bare(topic.schema)
     package, _, short = topic.type.split("/")
     prefixes = [sys.prefix, *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
-    paths = (Path(prefix) / "share" / package / "msg" / f"{short}.json" for prefix in prefixes if prefix)
+    paths = (
+        Path(prefix) / "share" / package / "msg" / f"{short}.json"
+        for prefix in prefixes
+        if prefix
+    )
     if (path := next(filter(Path.is_file, paths), None)) is None:
         pytest.skip(f"no hashes of {package} are installed to compare with")
     published = json.loads(path.read_text("utf-8"))["type_hashes"]
-    assert {h["type_name"]: h["hash_string"] for h in published}[topic.type] == topic.type_hash
+    assert {h["type_name"]: h["hash_string"] for h in published}[
+        topic.type
+    ] == topic.type_hash
 
 
 @pytest.mark.parametrize("topic", PLANT_TOPICS, ids=lambda t: t.type)
@@ -428,13 +537,19 @@ def test_parts_come_once_and_in_their_order(tmp_path):
         Lens="Pixel centre\n",
     )
     blocks = schema_of("rig_msgs/msg/Frame", environment).split("=" * 80 + "\n")
-    assert [block.split("\n")[0] for block in blocks[1:]] == ["MSG: rig_msgs/Pixel", "MSG: rig_msgs/Lens"]
+    assert [block.split("\n")[0] for block in blocks[1:]] == [
+        "MSG: rig_msgs/Pixel",
+        "MSG: rig_msgs/Lens",
+    ]
 
 
 @pytest.mark.parametrize(
     ("kind", "message"),
     [
-        ("rig_msgs/msg/Ghost", "the definition of rig_msgs/msg/Ghost is not installed; looked in /nowhere"),
+        (
+            "rig_msgs/msg/Ghost",
+            "the definition of rig_msgs/msg/Ghost is not installed; looked in /nowhere",
+        ),
         ("rig_msgs/msg/Frame", "the definition of rig_msgs/msg/Pixel is not installed"),
         ("../../etc/passwd", "is not a message type"),
         ("rig_msgs/srv/Ask", "is not a message type"),

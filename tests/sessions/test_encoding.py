@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
 
 from rclpy.serialization import deserialize_message
 
@@ -36,7 +38,9 @@ def test_matches_and_verdicts_are_the_messages_of_the_graph() -> None:
         for record in records:
             stamp = judged.stamps[record.sample]
             data = encode(topic_named(f"/twin/{name}"), tree_of(record), stamp)
-            assert repr(deserialize_message(data, kind)) == repr(message_of(record, stamp))
+            assert repr(deserialize_message(data, kind)) == repr(
+                message_of(record, stamp)
+            )
 
 
 @pytest.mark.parametrize("plant", PLANTS)
@@ -47,12 +51,16 @@ def test_descriptions_are_the_messages_of_the_graph(plant: str) -> None:
     assert repr(deserialize_message(data, PlantDescription)) == repr(sent)
 
 
-@pytest.mark.parametrize("name", ["/twin/match", "/twin/model_score", "/plant/description"])
+@pytest.mark.parametrize(
+    "name", ["/twin/match", "/twin/model_score", "/plant/description"]
+)
 def test_definitions_are_the_installed_ones(name: str) -> None:
     """But for the comments of the types that every release of ROS has."""
 
     def fields(schema: str) -> list[str]:
-        lines = (" ".join(line.split("#", 1)[0].split()) for line in schema.splitlines())
+        lines = (
+            " ".join(line.split("#", 1)[0].split()) for line in schema.splitlines()
+        )
         return [line for line in lines if line]
 
     topic = topic_named(name)

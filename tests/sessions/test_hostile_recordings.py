@@ -50,19 +50,30 @@ def device(path: Path) -> Path:
 def test_what_never_ends_is_not_waited_for(tmp_path, monkeypatch, make, ending):
     monkeypatch.chdir(tmp_path)  # the name of a socket has to be short
     path = make(Path(f"run{ending}"))
-    with within(10, 20), pytest.raises(SessionError, match="is a pipe, a device or a socket; give a file"):
+    with (
+        within(10, 20),
+        pytest.raises(
+            SessionError, match="is a pipe, a device or a socket; give a file"
+        ),
+    ):
         open_any(path)
 
 
 @pytest.mark.parametrize(
-    "command", ["import", "replay", "verify", "repair", "report", "forecast", "backtest"]
+    "command",
+    ["import", "replay", "verify", "repair", "report", "forecast", "backtest"],
 )
-@pytest.mark.parametrize("name", ["x" * 300 + ".csv", "pipe.csv", "round.csv", "run.csv/deeper.csv"])
+@pytest.mark.parametrize(
+    "name", ["x" * 300 + ".csv", "pipe.csv", "round.csv", "run.csv/deeper.csv"]
+)
 def test_a_name_that_cannot_be_used_is_one_line(tmp_path, capsys, command, name):
     fifo(tmp_path / "pipe.csv")
     (tmp_path / "round.csv").symlink_to(tmp_path / "round.csv")
     (tmp_path / "run.csv").write_text(CSV)
-    assert main(["import", str(tmp_path / "run.csv"), "-o", str(tmp_path / ("x" * 300))]) == 2
+    assert (
+        main(["import", str(tmp_path / "run.csv"), "-o", str(tmp_path / ("x" * 300))])
+        == 2
+    )
     assert capsys.readouterr().err.count("\n") == 1
     options = {"forecast": ["--at", "5"]}.get(command, [])
     options += ["-o", str(tmp_path / "out")] if command in {"import", "report"} else []
@@ -79,7 +90,9 @@ def mat_file(path: Path, *elements: bytes) -> Path:
     return path
 
 
-def beginning(rows: int, columns: int, name: bytes = b"simout", order: str = "<") -> bytes:
+def beginning(
+    rows: int, columns: int, name: bytes = b"simout", order: str = "<"
+) -> bytes:
     """Flags of a matrix of doubles, its dimensions and its name, as the format has them."""
     flags = struct.pack(f"{order}IIII", 6, 8, 6, 0)
     dimensions = struct.pack(f"{order}IIii", 5, 8, rows, columns)
@@ -87,8 +100,12 @@ def beginning(rows: int, columns: int, name: bytes = b"simout", order: str = "<"
     return flags + dimensions + struct.pack(f"{order}II", 1, len(name)) + padded
 
 
-def matrix(rows: int, columns: int, values: bytes, stated: int | None = None, order: str = "<") -> bytes:
-    data = struct.pack(f"{order}II", 9, len(values) if stated is None else stated) + values
+def matrix(
+    rows: int, columns: int, values: bytes, stated: int | None = None, order: str = "<"
+) -> bytes:
+    data = (
+        struct.pack(f"{order}II", 9, len(values) if stated is None else stated) + values
+    )
     content = beginning(rows, columns, order=order) + data
     return struct.pack(f"{order}II", 14, len(content)) + content
 
@@ -100,8 +117,13 @@ def compressed(element: bytes) -> bytes:
 
 def test_a_file_made_by_hand_is_read(tmp_path):
     """So that the files below are refused for what is wrong with them."""
-    for element in (matrix(2, 4, COLUMNS.tobytes()), compressed(matrix(2, 4, COLUMNS.tobytes()))):
-        assert read_recording(mat_file(tmp_path / "run.mat", element)).output.tolist() == [25.0, 26.0]
+    for element in (
+        matrix(2, 4, COLUMNS.tobytes()),
+        compressed(matrix(2, 4, COLUMNS.tobytes())),
+    ):
+        assert read_recording(
+            mat_file(tmp_path / "run.mat", element)
+        ).output.tolist() == [25.0, 26.0]
 
 
 @pytest.mark.parametrize("pack", [bytes, compressed])
@@ -112,12 +134,18 @@ def test_a_file_made_by_hand_is_read(tmp_path):
         (2, -4, r"has the shape \(2, -4\); it needs 4 columns"),
         (-2, -4, r"has the shape \(-2, -4\); it needs 4 columns"),
         (-(2**31), 4, "has the shape"),
-        (2**31 - 1, 4, "simout with 8589934588 values; split it into parts of at most 40000000"),
+        (
+            2**31 - 1,
+            4,
+            "simout with 8589934588 values; split it into parts of at most 40000000",
+        ),
         (1, 4, "is truncated or damaged"),
         (3, 4, "is truncated or damaged"),
     ],
 )
-def test_dimensions_that_are_not_true_are_refused(tmp_path, pack, rows, columns, message):
+def test_dimensions_that_are_not_true_are_refused(
+    tmp_path, pack, rows, columns, message
+):
     values = bytes(100_000) if rows == 1 else bytes(64)
     path = mat_file(tmp_path / "run.mat", pack(matrix(rows, columns, values)))
     with within(10, 20), pytest.raises(RecordingError, match=message):
@@ -127,7 +155,11 @@ def test_dimensions_that_are_not_true_are_refused(tmp_path, pack, rows, columns,
 @lru_cache
 def bomb(name: bytes, rows: int = 100) -> bytes:
     """A variable of some kilobytes that unpacks to 67 MB."""
-    head = struct.pack("<II", 14, 2**26) + beginning(rows, 4, name) + struct.pack("<II", 9, 2**26)
+    head = (
+        struct.pack("<II", 14, 2**26)
+        + beginning(rows, 4, name)
+        + struct.pack("<II", 9, 2**26)
+    )
     packed = zlib.compress(head + bytes(2**26), 1)
     assert len(packed) < 5e5
     return struct.pack("<II", 15, len(packed)) + packed
@@ -136,7 +168,10 @@ def bomb(name: bytes, rows: int = 100) -> bytes:
 @pytest.mark.parametrize("read", [read_recording, read_table])
 @pytest.mark.parametrize(
     ("rows", "message"),
-    [(100, "does not end where its dimensions say"), (2**25, r"values; split it into parts of at most")],
+    [
+        (100, "does not end where its dimensions say"),
+        (2**25, r"values; split it into parts of at most"),
+    ],
 )
 def test_a_small_file_that_unpacks_to_much_is_refused(tmp_path, read, rows, message):
     """By both readers: the importer of any table, and that of the rig's recordings."""
@@ -146,7 +181,11 @@ def test_a_small_file_that_unpacks_to_much_is_refused(tmp_path, read, rows, mess
 
 
 def test_what_stands_beside_the_wanted_matrix_is_not_unpacked(tmp_path):
-    path = mat_file(tmp_path / "run.mat", bomb(b"other"), compressed(matrix(2, 4, COLUMNS.tobytes())))
+    path = mat_file(
+        tmp_path / "run.mat",
+        bomb(b"other"),
+        compressed(matrix(2, 4, COLUMNS.tobytes())),
+    )
     with within(10, 20):
         assert read_recording(path).output.tolist() == [25.0, 26.0]
 
@@ -177,24 +216,35 @@ def scan_of_zeros(path, compression, size, stated):
 @pytest.mark.parametrize("stated", [1000, 2**20, 2**40])
 def test_a_chunk_that_unpacks_to_much_is_refused(tmp_path, compression, stated):
     scan = scan_of_zeros(tmp_path / "run.mcap", compression, 2**26, stated)
-    assert scan.fault.startswith(("the file is damaged: the checksum", "the file is damaged: a chunk of"))
+    assert scan.fault.startswith(
+        ("the file is damaged: the checksum", "the file is damaged: a chunk of")
+    )
 
 
 @pytest.mark.parametrize("compression", PACK)
 @pytest.mark.parametrize("surplus", [-1, 1])
-def test_a_chunk_that_is_longer_or_shorter_than_it_states_is_damaged(tmp_path, compression, surplus):
+def test_a_chunk_that_is_longer_or_shorter_than_it_states_is_damaged(
+    tmp_path, compression, surplus
+):
     scan = scan_of_zeros(tmp_path / "run.mcap", compression, 1000, 1000 + surplus)
-    assert scan.fault.startswith("the file is damaged: the checksum of a chunk is wrong")
+    assert scan.fault.startswith(
+        "the file is damaged: the checksum of a chunk is wrong"
+    )
 
 
 def test_many_variables_end_soon(tmp_path):
     empty = struct.pack("<II", 14, 48) + beginning(0, 0, b"other")
-    with within(10, 50), pytest.raises(RecordingError, match="more than 10000 variables"):
+    with (
+        within(10, 50),
+        pytest.raises(RecordingError, match="more than 10000 variables"),
+    ):
         read_recording(mat_file(tmp_path / "run.mat", *[empty] * 20_000))
 
 
 def test_a_file_of_a_machine_of_the_other_byte_order_is_read(tmp_path):
-    path = mat_file(tmp_path / "run.mat", matrix(2, 4, COLUMNS.astype(">f8").tobytes(), order=">"))
+    path = mat_file(
+        tmp_path / "run.mat", matrix(2, 4, COLUMNS.astype(">f8").tobytes(), order=">")
+    )
     content = path.read_bytes()
     path.write_bytes(content[:124] + b"\x01\x00MI" + content[128:])
     assert scipy.io.loadmat(path)["simout"].shape == (2, 4)
@@ -206,16 +256,25 @@ def test_a_table_without_line_ends_is_not_read_whole(tmp_path):
     with path.open("wb") as file:
         file.write(CSV.encode())
         file.truncate(2**28)  # zeros that take no room on the disk
-    with within(10, 20), pytest.raises(RecordingError, match=f"line 4 has more than {MAX_LINE} characters"):
+    with (
+        within(10, 20),
+        pytest.raises(
+            RecordingError, match=f"line 4 has more than {MAX_LINE} characters"
+        ),
+    ):
         read_recording(path)
 
 
 def test_a_long_table_says_how_far_it_has_come_and_takes_little_memory(tmp_path):
     path = tmp_path / "run.csv"
     rows = 30_000
-    path.write_text("time,reference,temperature,pwm\n" + "".join(f"{k},30,25,1\n" for k in range(rows)))
+    path.write_text(
+        "time,reference,temperature,pwm\n"
+        + "".join(f"{k},30,25,1\n" for k in range(rows))
+    )
     heard: list[tuple[int, int]] = []
-    with within(60, 8 * 9 * rows / 1e6 + 3):  # line numbers, four columns, and four more in the window
+    with within(60, 8 * 9 * rows / 1e6 + 3):
+        # line numbers, four columns, and four more in the window
         window = read_recording(path, lambda done, total: heard.append((done, total)))
     assert len(window) == rows
     assert len(heard) == rows // 10_000

@@ -22,7 +22,12 @@ from twinmatch.offline.judging import recorded_terms
 from twinmatch.offline.verification import verify_session
 from twinmatch.plants import Peltier
 from twinmatch.sessions import SessionError, read_session, write_session
-from twinmatch.sessions.cdr import decode_sample, encode_float64, encode_sample, encode_temperature
+from twinmatch.sessions.cdr import (
+    decode_sample,
+    encode_float64,
+    encode_sample,
+    encode_temperature,
+)
 from twinmatch.sessions.messages import SAMPLE
 from twinmatch.sessions.metadata import METADATA
 from twinmatch.sessions.recording import repair_session
@@ -37,7 +42,9 @@ Temperature = STORE.types["sensor_msgs/msg/Temperature"]
 
 doubles = st.floats(allow_nan=False)
 stamps = st.integers(0, 2**31 * 10**9 - 1)
-several = [st.lists(doubles, min_size=least, max_size=3).map(tuple) for least in (1, 1, 1, 0)]
+several = [
+    st.lists(doubles, min_size=least, max_size=3).map(tuple) for least in (1, 1, 1, 0)
+]
 samples = st.builds(Sample, st.integers(0, 2**64 - 1), stamps, *several)
 frames = st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=20)
 
@@ -59,7 +66,9 @@ def test_samples_are_encoded_as_rosbags_does(sample, frame):
 
 @given(samples, frames, st.booleans())
 def test_samples_are_decoded_from_what_rosbags_encodes(sample, frame, little):
-    theirs = STORE.serialize_cdr(loop_sample(sample, frame), SAMPLE.type, little_endian=little)
+    theirs = STORE.serialize_cdr(
+        loop_sample(sample, frame), SAMPLE.type, little_endian=little
+    )
     assert decode_sample(bytes(theirs)) == sample
 
 
@@ -72,7 +81,8 @@ def test_every_alignment_round_trips(frame):
 @given(stamps, doubles, doubles, frames)
 def test_temperatures_are_encoded_as_rosbags_does(stamp, value, variance, frame):
     theirs = STORE.serialize_cdr(
-        Temperature(header(stamp, frame), value, variance), "sensor_msgs/msg/Temperature"
+        Temperature(header(stamp, frame), value, variance),
+        "sensor_msgs/msg/Temperature",
     )
     assert encode_temperature(stamp, value, variance, frame) == bytes(theirs)
 
@@ -81,7 +91,9 @@ def test_temperatures_are_encoded_as_rosbags_does(stamp, value, variance, frame)
 def test_numbers_are_encoded_as_rosbags_does(value):
     message = STORE.deserialize_cdr(encode_float64(value), "std_msgs/msg/Float64")
     assert message.data == value
-    assert encode_float64(value) == bytes(STORE.serialize_cdr(message, "std_msgs/msg/Float64"))
+    assert encode_float64(value) == bytes(
+        STORE.serialize_cdr(message, "std_msgs/msg/Float64")
+    )
 
 
 def test_a_not_a_number_keeps_its_place():
@@ -103,9 +115,12 @@ def test_a_sample_without_a_signal_is_refused():
         (([], [3.0], []), "sample 9 has 0 references, 1 outputs and 0 inputs"),
         (([1.0, 2.0], [], [5.0]), "sample 9 has 2 references, 0 outputs and 1 inputs"),
     ):
-        message = LoopSample(header(0, "plate"), 9, *map(np.array, arrays), np.array([]))
+        message = LoopSample(
+            header(0, "plate"), 9, *map(np.array, arrays), np.array([])
+        )
         with pytest.raises(
-            SessionError, match=f"session: {numbers_of_signals}; every sample has at least one of each"
+            SessionError,
+            match=f"session: {numbers_of_signals}; every sample has at least one of each",
         ):
             decode_sample(bytes(STORE.serialize_cdr(message, SAMPLE.type)))
 
@@ -147,10 +162,14 @@ def test_samples_are_those_that_another_reader_finds() -> None:
     assert session.notes == []
     with AnyReader([SESSION]) as reader:
         wanted = [c for c in reader.connections if c.topic == "/plant/sample"]
-        theirs = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(wanted)]
-    assert [(s.index, s.reference, s.output, s.input, s.disturbances) for s in session.samples] == [
-        (m.index, m.reference, m.temperature, m.pwm, ()) for m in theirs
-    ]
+        theirs = [
+            reader.deserialize(data, c.msgtype)
+            for c, _, data in reader.messages(wanted)
+        ]
+    assert [
+        (s.index, s.reference, s.output, s.input, s.disturbances)
+        for s in session.samples
+    ] == [(m.index, m.reference, m.temperature, m.pwm, ()) for m in theirs]
     assert [s.stamp for s in session.samples] == [
         m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in theirs
     ]
@@ -161,7 +180,9 @@ def test_outputs_and_inputs_are_those_of_the_loop() -> None:
     """The rig's PID computes the inputs from references and outputs, so none is taken for another."""
     window = read_session(SESSION).window()
     pid = Controller(Peltier.loop)
-    computed = [pid.step(r, y)[0] for r, y in zip(window.reference, window.output, strict=True)]
+    computed = [
+        pid.step(r, y)[0] for r, y in zip(window.reference, window.output, strict=True)
+    ]
     np.testing.assert_allclose(computed, window.input, atol=1e-9)
 
 
@@ -184,20 +205,36 @@ def test_recorded_parameters_get_their_names_of_today() -> None:
 def test_verdicts_are_compared_in_what_both_forms_have() -> None:
     """Whether they are the same to the last bit is a matter of versions; like is compared with like."""
     verification = verify_session(SESSION)
-    assert (verification.samples, verification.verdicts, verification.matches) == (360, 6, 1)
+    assert (verification.samples, verification.verdicts, verification.matches) == (
+        360,
+        6,
+        1,
+    )
     assert verification.notes[0].startswith(
         "recorded in another form; fields that only one form has were not compared"
     )
     assert " parameters.structure" in verification.notes[0]
-    for renamed in ("rms_y", "rms_u", "residual", " parameters.heat_capacity", "starts"):
+    for renamed in (
+        "rms_y",
+        "rms_u",
+        "residual",
+        " parameters.heat_capacity",
+        "starts",
+    ):
         assert renamed not in verification.notes[0]
     if verification.difference is not None:
-        assert type(verification.difference.recorded) is type(verification.difference.computed)
+        assert type(verification.difference.recorded) is type(
+            verification.difference.computed
+        )
 
 
-def test_a_session_in_the_former_form_can_be_replayed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_session_in_the_former_form_can_be_replayed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["replay", str(SESSION)]) == 0
-    assert "Nominal, the centre of the family: match at 40 °C" in capsys.readouterr().out
+    assert (
+        "Nominal, the centre of the family: match at 40 °C" in capsys.readouterr().out
+    )
 
 
 def test_a_repaired_copy_stays_in_its_form(tmp_path: Path) -> None:
@@ -211,7 +248,10 @@ def test_a_repaired_copy_stays_in_its_form(tmp_path: Path) -> None:
     assert 200 < len(samples) < 360
     assert samples == read_session(SESSION).samples[: len(samples)]
     with AnyReader([torn]) as reader:
-        assert "float64 temperature" in next(c for c in reader.connections if "sample" in c.topic).msgdef.data
+        assert (
+            "float64 temperature"
+            in next(c for c in reader.connections if "sample" in c.topic).msgdef.data
+        )
 
 
 # Sessions read by `@mcap/core`, the reader behind the usual viewers.
@@ -229,17 +269,32 @@ def core() -> Path:
     module = CACHE / "node_modules" / "@mcap" / "core"
     if not module.is_dir():
         CACHE.mkdir(parents=True, exist_ok=True)
-        options = ["--prefix", str(CACHE), "--ignore-scripts", "--no-audit", "--no-fund", "--no-save"]
+        options = [
+            "--prefix",
+            str(CACHE),
+            "--ignore-scripts",
+            "--no-audit",
+            "--no-fund",
+            "--no-save",
+        ]
         completed = subprocess.run(
-            ["npm", "install", *options, f"@mcap/core@{VERSION}"], capture_output=True, text=True, check=False
+            ["npm", "install", *options, f"@mcap/core@{VERSION}"],
+            capture_output=True,
+            text=True,
+            check=False,
         )
         if completed.returncode:
-            pytest.skip(f"npm could not install @mcap/core: {completed.stderr.strip().splitlines()[-1:]}")
+            pytest.skip(
+                f"npm could not install @mcap/core: {completed.stderr.strip().splitlines()[-1:]}"
+            )
     return module
 
 
 def test_the_web_reader_finds_the_same(tmp_path, core):
-    samples = [Sample(k, 10**18 + k * 10**9, 30.0 + k // 500, 25.0 + k / 16, k / 4) for k in range(1000)]
+    samples = [
+        Sample(k, 10**18 + k * 10**9, 30.0 + k // 500, 25.0 + k / 16, k / 4)
+        for k in range(1000)
+    ]
     folder = write_session(tmp_path / "run", samples)
     completed = subprocess.run(
         ["node", str(SCRIPT), str(folder / "run_0.mcap"), str(core)],
@@ -261,6 +316,11 @@ def test_the_web_reader_finds_the_same(tmp_path, core):
         }
         for topic in ours.topics
     }
-    assert theirs["messages"] == [[m.topic.name, str(m.log_time), m.data.hex()] for m in ours.messages()]
+    assert theirs["messages"] == [
+        [m.topic.name, str(m.log_time), m.data.hex()] for m in ours.messages()
+    ]
     text = (folder / METADATA).read_text()
-    assert all(line.strip() in text for line in theirs["metadata"]["serialized_metadata"].splitlines())
+    assert all(
+        line.strip() in text
+        for line in theirs["metadata"]["serialized_metadata"].splitlines()
+    )

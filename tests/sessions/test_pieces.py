@@ -47,7 +47,10 @@ def test_the_last_piece_that_begins_at_the_beginning_is_the_run(killed: Path) ->
     assert (session.name, session.path) == ("run", killed)
     assert session.counts == {SAMPLE.name: 7}
     assert len(list(session.messages())) == 7
-    assert any(note.startswith("run_2 is left out: session run_2: has no ") for note in session.notes)
+    assert any(
+        note.startswith("run_2 is left out: session run_2: has no ")
+        for note in session.notes
+    )
 
 
 def test_a_piece_without_samples_stands_for_its_run(killed: Path) -> None:

@@ -14,7 +14,14 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
-from twinmatch.sessions import Qos, SessionError, SessionWriter, Topic, read_session, write_session
+from twinmatch.sessions import (
+    Qos,
+    SessionError,
+    SessionWriter,
+    Topic,
+    read_session,
+    write_session,
+)
 from twinmatch.sessions.cdr import encode_float64, encode_sample
 from twinmatch.sessions.messages import REFERENCE, SAMPLE
 from twinmatch.sessions.metadata import Part, Summary, files_listed, parse_qos, qos_text
@@ -23,7 +30,10 @@ from twinmatch.signals import Sample, SignalError
 
 
 def run(count: int = 30, first: int = 0, step: int = 10**9) -> list[Sample]:
-    return [Sample(first + k, (first + k) * step, 30.0, 25.0, float(first + k)) for k in range(count)]
+    return [
+        Sample(first + k, (first + k) * step, 30.0, 25.0, float(first + k))
+        for k in range(count)
+    ]
 
 
 def record(folder: Path, *rigs: tuple[Topic, list[Sample]]) -> Path:
@@ -45,7 +55,9 @@ def test_a_folder_and_its_file_hold_the_same(tmp_path):
 
 
 def test_a_session_knows_its_duration_its_period_and_its_window(tmp_path):
-    session = read_session(write_session(tmp_path / "fast", run(31, first=5, step=100_000_000)))
+    session = read_session(
+        write_session(tmp_path / "fast", run(31, first=5, step=100_000_000))
+    )
     assert session.duration == 3.0
     assert session.period == 0.1
     window = session.window()
@@ -54,12 +66,18 @@ def test_a_session_knows_its_duration_its_period_and_its_window(tmp_path):
 
 def test_messages_can_be_chosen(tmp_path):
     session = read_session(write_session(tmp_path / "run", run()))
-    assert session.counts == {"/plant/sample": 30, "/plant/temperature": 30, "/plant/reference": 1}
+    assert session.counts == {
+        "/plant/sample": 30,
+        "/plant/temperature": 30,
+        "/plant/reference": 1,
+    }
     chosen = list(session.messages(["/plant/reference"]))
     assert [m.data for m in chosen] == [encode_float64(30.0)]
     assert chosen[0].topic == REFERENCE
     assert len(list(session.messages())) == 61
-    with pytest.raises(SessionError, match="has no topic /plant/speed; it has /plant/reference, "):
+    with pytest.raises(
+        SessionError, match="has no topic /plant/speed; it has /plant/reference, "
+    ):
         list(session.messages(["/plant/speed"]))
 
 
@@ -70,19 +88,23 @@ def test_it_reports_its_progress(tmp_path):
     size = (folder / "long_0.mcap").stat().st_size
     assert {total for _, total in calls} == {size}
     # 18,001 messages, spread evenly; a chunk that was read counts as a whole.
-    assert [position / size for position, _ in calls] == pytest.approx([5 / 18, 10 / 18, 15 / 18], abs=0.1)
+    assert [position / size for position, _ in calls] == pytest.approx(
+        [5 / 18, 10 / 18, 15 / 18], abs=0.1
+    )
 
 
 def test_of_two_rigs_one_has_to_be_named(tmp_path):
     a, b = (SAMPLE._replace(name=f"/{rig}/plant/sample") for rig in "ab")
     folder = record(tmp_path / "run", (a, run(5)), (b, run(7)))
     with pytest.raises(
-        SessionError, match=r"several rigs \(/a/plant/sample, /b/plant/sample\); give the topic"
+        SessionError,
+        match=r"several rigs \(/a/plant/sample, /b/plant/sample\); give the topic",
     ):
         read_session(folder)
     assert len(read_session(folder, topic="/b/plant/sample").samples) == 7
     with pytest.raises(
-        SessionError, match=r"has no topic /c/plant/sample of type .*; it has /a/plant/sample, /b"
+        SessionError,
+        match=r"has no topic /c/plant/sample of type .*; it has /a/plant/sample, /b",
     ):
         read_session(folder, topic="/c/plant/sample")
 
@@ -126,7 +148,9 @@ def test_gaps_are_noted(tmp_path, samples, note):
 def test_values_that_are_not_finite_are_named(tmp_path, field, value):
     samples = run(10)
     samples[6] = dataclasses.replace(samples[6], **{f"{field}s": value})
-    with pytest.raises(SessionError, match=f"session run: {field} of sample 6 is {value}"):
+    with pytest.raises(
+        SessionError, match=f"session run: {field} of sample 6 is {value}"
+    ):
         read_session(record(tmp_path / "run", (SAMPLE, samples)))
 
 
@@ -144,7 +168,9 @@ def of_a_car(folder: Path) -> None:
 
 
 def of_another_definition(folder: Path) -> None:
-    older = SAMPLE._replace(schema=SAMPLE.schema.replace("float64[] input", "float32[] input"))
+    older = SAMPLE._replace(
+        schema=SAMPLE.schema.replace("float64[] input", "float32[] input")
+    )
     record(folder, (older, run()))
 
 
@@ -167,7 +193,10 @@ def standing_still(folder: Path) -> None:
         (too_short, "4 bytes is too short"),
         (of_a_car, "LoopSample; it has /plant/sample, /speed"),
         (of_another_definition, "another definition of LoopSample"),
-        (cut_off, r"session run; run_0\.mcap: the file is truncated: has no topic ending in"),
+        (
+            cut_off,
+            r"session run; run_0\.mcap: the file is truncated: has no topic ending in",
+        ),
         (standing_still, "the stamps do not advance between samples 0 and 29"),
     ],
 )
@@ -177,7 +206,9 @@ def test_what_cannot_be_read_is_refused_in_words(tmp_path, make, message):
         read_session(tmp_path / "run")
 
 
-@pytest.mark.parametrize("text", [None, "", "[1, 2", "a: b", "rosbag2_bagfile_information: 3", "\0"])
+@pytest.mark.parametrize(
+    "text", [None, "", "[1, 2", "a: b", "rosbag2_bagfile_information: 3", "\0"]
+)
 def test_a_folder_without_usable_metadata_is_read_and_noted(tmp_path, text):
     folder = write_session(tmp_path / "run", run())
     (folder / "metadata.yaml").unlink()
@@ -185,7 +216,9 @@ def test_a_folder_without_usable_metadata_is_read_and_noted(tmp_path, text):
         (folder / "metadata.yaml").write_text(text)
     session = read_session(folder)
     assert session.samples == run()
-    assert session.notes == ["metadata.yaml is missing or unreadable: the recording was not finished"]
+    assert session.notes == [
+        "metadata.yaml is missing or unreadable: the recording was not finished"
+    ]
 
 
 def test_a_session_of_several_files_is_one(tmp_path):
@@ -211,20 +244,29 @@ def test_a_torn_file_is_read_and_the_note_says_how_far(tmp_path):
     file.write_bytes(content[: content.index(encode_sample(run(100, first=50)[70]))])
     session = read_session(folder)
     assert session.samples == run(100, first=50)[:70]
-    assert session.notes == ["run_0.mcap: the file is truncated; 70 samples up to t = 119 s could be read"]
+    assert session.notes == [
+        "run_0.mcap: the file is truncated; 70 samples up to t = 119 s could be read"
+    ]
     assert len(list(session.messages(["/plant/sample"]))) == 70
 
 
-@pytest.mark.parametrize(("jump", "step"), [(-(10**9) // 2, 0.5), (5 * 10**9, 6.0), (-(10**9), 0.0)])
+@pytest.mark.parametrize(
+    ("jump", "step"), [(-(10**9) // 2, 0.5), (5 * 10**9, 6.0), (-(10**9), 0.0)]
+)
 def test_a_clock_that_was_set_is_noted(tmp_path, jump, step):
     samples = [
-        dataclasses.replace(s, stamp=s.stamp + 10**10 + (jump if s.index >= 20 else 0)) for s in run(400)
+        dataclasses.replace(s, stamp=s.stamp + 10**10 + (jump if s.index >= 20 else 0))
+        for s in run(400)
     ]
     notes = read_session(record(tmp_path / "run", (SAMPLE, samples))).notes
-    assert notes == ([] if step == 0.5 else [f"the stamps step by {step:g} s from sample 19 to 20"])
+    assert notes == (
+        [] if step == 0.5 else [f"the stamps step by {step:g} s from sample 19 to 20"]
+    )
 
 
-def test_one_sample_has_the_usual_period_and_a_file_that_has_gone_is_said_when_it_is_wanted(tmp_path):
+def test_one_sample_has_the_usual_period_and_a_file_that_has_gone_is_said_when_it_is_wanted(
+    tmp_path,
+):
     session = read_session(write_session(tmp_path / "run", run(1)))
     assert session.period == 1.0
     assert session.notes == []
@@ -234,12 +276,22 @@ def test_one_sample_has_the_usual_period_and_a_file_that_has_gone_is_said_when_i
 
 
 def test_qos_survives_its_text_and_that_of_older_and_of_discovered_profiles_is_read():
-    for reliability, durability in product(["reliable", "best_effort"], ["volatile", "transient_local"]):
+    for reliability, durability in product(
+        ["reliable", "best_effort"], ["volatile", "transient_local"]
+    ):
         qos = Qos(reliability, durability, 42)
         assert parse_qos(qos_text(qos)) == qos
     older = "- {reliability: 2, durability: 1, depth: 0}"
     assert parse_qos(older) == Qos("best_effort", "transient_local", 10)
-    for text in ("", "[]", "7", "- 7", "- {depth: 1}", "[", "- {reliability: x, durability: y, depth: 1}"):
+    for text in (
+        "",
+        "[]",
+        "7",
+        "- 7",
+        "- {depth: 1}",
+        "[",
+        "- {reliability: x, durability: y, depth: 1}",
+    ):
         assert parse_qos(text) == Qos()
 
 
@@ -268,7 +320,9 @@ def flushed_file(folder: Path, messages_per_chunk: int = 20) -> bytes:
 def library_file(compression: CompressionType, *, use_chunking: bool = True) -> bytes:
     """A file as other recorders write it."""
     out = BytesIO()
-    writer = Writer(out, chunk_size=2000, compression=compression, use_chunking=use_chunking)
+    writer = Writer(
+        out, chunk_size=2000, compression=compression, use_chunking=use_chunking
+    )
     writer.start(profile="ros2")
     schema = writer.register_schema(SAMPLE.type, "ros2msg", SAMPLE.schema.encode())
     channel = writer.register_channel(SAMPLE.name, "cdr", schema)
@@ -295,7 +349,8 @@ def scan(path: Path, content: bytes) -> tuple[int, str]:
     walk = Scan(path)
     messages = list(walk)
     intact = iter([encode_sample(sample) for sample in SAMPLES])
-    assert all(m.data in intact for m in messages if m.is_sound)  # in their order, none twice
+    # in their order, none twice
+    assert all(m.data in intact for m in messages if m.is_sound)
     assert sum(not m.is_sound for m in messages) == walk.unsound
     return len(messages), walk.fault
 
@@ -306,7 +361,10 @@ def whole(tmp_path_factory) -> bytes:
 
 
 def test_every_cut_gives_the_messages_before_it(tmp_path, whole):
-    ends = [whole.index(encode_sample(sample)) + len(encode_sample(sample)) for sample in SAMPLES]
+    ends = [
+        whole.index(encode_sample(sample)) + len(encode_sample(sample))
+        for sample in SAMPLES
+    ]
     for cut in range(1, len(MAGIC)):
         with pytest.raises(SessionError, match="is not a session"):
             scan(tmp_path / "x.mcap", whole[:cut])
@@ -354,7 +412,8 @@ def stating(messages: int):
     """Change the number of messages in the statistics."""
     start_of_statistics = struct.Struct("<BQQ")
     return lambda whole: whole.replace(
-        start_of_statistics.pack(11, 56, COUNT), start_of_statistics.pack(11, 56, messages)
+        start_of_statistics.pack(11, 56, COUNT),
+        start_of_statistics.pack(11, 56, messages),
     )
 
 
@@ -363,15 +422,31 @@ def stating(messages: int):
     [
         (taken_for(0x86), COUNT, "at byte "),  # of a private kind
         (taken_for(0x07), COUNT, "at byte "),  # an index of messages
-        (with_a_wrong_bit(45, 9), COUNT, f"{WRONG}; 20 messages were read that no checksum confirms"),
+        (
+            with_a_wrong_bit(45, 9),
+            COUNT,
+            f"{WRONG}; 20 messages were read that no checksum confirms",
+        ),
         (
             with_a_wrong_bit(45, 84),
             COUNT - 1,
             f"{WRONG}; {IMPOSSIBLE}; 19 messages were read",
         ),  # of its index
-        (with_a_wrong_bit(5, 9), COUNT, f"{WRONG}; 20 messages were read that no checksum confirms"),
-        (with_a_wrong_channel, COUNT, f"{WRONG}; 20 messages were read that no checksum confirms"),
-        (lambda whole: whole[:8] + struct.pack("<BQ", 6, 2**63) + whole[8:], COUNT, INDEX),
+        (
+            with_a_wrong_bit(5, 9),
+            COUNT,
+            f"{WRONG}; 20 messages were read that no checksum confirms",
+        ),
+        (
+            with_a_wrong_channel,
+            COUNT,
+            f"{WRONG}; 20 messages were read that no checksum confirms",
+        ),
+        (
+            lambda whole: whole[:8] + struct.pack("<BQ", 6, 2**63) + whole[8:],
+            COUNT,
+            INDEX,
+        ),
         (stating(COUNT + 1), COUNT, f"{INDEX}; only 60 of 61 messages are left"),
         (stating(COUNT - 1), COUNT, f"{INDEX}; it has 60 messages, but states 59"),
         (lambda whole: whole + b"more", COUNT, "bytes follow its end"),
@@ -383,13 +458,20 @@ def test_what_can_be_read_is_read(tmp_path, whole, spoil, count, fault):
     assert (read, faults[: len(DAMAGED + fault)]) == (count, DAMAGED + fault)
 
 
-def test_a_file_that_ends_early_is_truncated_and_a_whole_one_has_no_fault(tmp_path, whole):
+def test_a_file_that_ends_early_is_truncated_and_a_whole_one_has_no_fault(
+    tmp_path, whole
+):
     assert scan(tmp_path / "x.mcap", whole) == (COUNT, "")
-    assert scan(tmp_path / "x.mcap", whole[:-1]) == (COUNT, "the file is truncated after its last message")
+    assert scan(tmp_path / "x.mcap", whole[:-1]) == (
+        COUNT,
+        "the file is truncated after its last message",
+    )
 
 
 @given(st.data())
-def test_one_wrong_byte_costs_one_sample_at_most_and_never_gives_a_wrong_one(tmp_path_factory, whole, data):
+def test_one_wrong_byte_costs_one_sample_at_most_and_never_gives_a_wrong_one(
+    tmp_path_factory, whole, data
+):
     place = data.draw(st.integers(0, len(whole) - 1))
     wrong = bytearray(whole)
     wrong[place] ^= data.draw(st.integers(1, 255))
@@ -415,12 +497,17 @@ def test_zeros_where_a_record_should_begin_are_said(tmp_path, whole):
     head = whole[: chunk_before(whole, whole.index(encode_sample(SAMPLES[20])))]
     count, fault = scan(tmp_path / "x.mcap", head + bytes(500))
     assert count == 20
-    assert fault.startswith(f"the file is damaged: at byte {len(head)} no record begins")
+    assert fault.startswith(
+        f"the file is damaged: at byte {len(head)} no record begins"
+    )
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
 def test_files_of_other_recorders_are_read(tmp_path, compression):
-    assert scan(tmp_path / "x.mcap", library_file(compression, use_chunking=False)) == (COUNT, "")
+    assert scan(tmp_path / "x.mcap", library_file(compression, use_chunking=False)) == (
+        COUNT,
+        "",
+    )
     content = library_file(compression)
     assert scan(tmp_path / "x.mcap", content) == (COUNT, "")
     count, fault = scan(tmp_path / "x.mcap", content[: len(content) // 2])
@@ -447,10 +534,16 @@ def record_scan(opcode: int, body: bytes) -> bytes:
     ("tail", "fault"),
     [
         (record_scan(5, b"\1\0"), "the file is damaged: a message is too short"),
-        (record_scan(5, bytes(22)), "the file is damaged: a message belongs to no topic"),
+        (
+            record_scan(5, bytes(22)),
+            "the file is damaged: a message belongs to no topic",
+        ),
         (record_scan(3, b"\1\0\4"), "the file is damaged: a schema cannot be read"),
         (record_scan(4, b""), "the file is damaged: a channel cannot be read"),
-        (record_scan(6, bytes(32) + b"\xff" * 8), "the file is damaged: a chunk cannot be read"),
+        (
+            record_scan(6, bytes(32) + b"\xff" * 8),
+            "the file is damaged: a chunk cannot be read",
+        ),
         (record_scan(6, b"\1"), "the file is damaged: a chunk cannot be read"),
         (
             record_scan(0x90, b"private") + record_scan(0, b""),

@@ -20,10 +20,21 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
 from tests.support.processes import kill_once_it_says
-from twinmatch.sessions import SessionError, SessionWriter, read_session, samples_of, write_session
+from twinmatch.sessions import (
+    SessionError,
+    SessionWriter,
+    read_session,
+    samples_of,
+    write_session,
+)
 from twinmatch.sessions.cdr import encode_sample
 from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE
-from twinmatch.sessions.recording import EPOCH, DiskFullError, Recording, RecordingLimits
+from twinmatch.sessions.recording import (
+    EPOCH,
+    DiskFullError,
+    Recording,
+    RecordingLimits,
+)
 from twinmatch.signals import Sample, Window
 
 SECOND = 10**9
@@ -46,7 +57,11 @@ def names(folder: Path) -> list[str]:
 def hour(count: int = 3601) -> list[Sample]:
     k = np.arange(count)
     return samples_of(
-        Window(30.0 + 20.0 * (k // 600 % 2), 25.0 + 5.0 * np.sin(k / 50), np.clip(k * 0.1 - 100, -255, 255))
+        Window(
+            30.0 + 20.0 * (k // 600 % 2),
+            25.0 + 5.0 * np.sin(k / 50),
+            np.clip(k * 0.1 - 100, -255, 255),
+        )
     )
 
 
@@ -56,14 +71,20 @@ def test_samples_survive_the_round_trip(tmp_path_factory, samples):
     session = read_session(write_session(folder, samples))
     assert session.samples == samples
     assert session.notes == []
-    assert session.counts["/plant/sample"] == session.counts["/plant/temperature"] == len(samples)
+    assert (
+        session.counts["/plant/sample"]
+        == session.counts["/plant/temperature"]
+        == len(samples)
+    )
 
 
 def test_two_writes_give_the_same_bytes(tmp_path):
     for place in ("a", "b"):
         write_session(tmp_path / place / "run", hour(900))
     for name in ("metadata.yaml", "run_0.mcap"):
-        assert (tmp_path / "a/run" / name).read_bytes() == (tmp_path / "b/run" / name).read_bytes()
+        assert (tmp_path / "a/run" / name).read_bytes() == (
+            tmp_path / "b/run" / name
+        ).read_bytes()
 
 
 def test_samples_of_a_window_are_stamped_by_its_period():
@@ -77,9 +98,13 @@ def test_samples_of_a_window_are_stamped_by_its_period():
 def test_a_plant_with_several_signals_has_samples_alone(tmp_path):
     """Temperature and reference are topics of one loop."""
     rows = np.arange(40.0).reshape(20, 2)
-    window = Window(rows, rows + 0.5, rows[:, ::-1], first=7, period=0.5, disturbances=rows[:, :1])
+    window = Window(
+        rows, rows + 0.5, rows[:, ::-1], first=7, period=0.5, disturbances=rows[:, :1]
+    )
     samples = samples_of(window)
-    assert samples[1] == Sample(8, EPOCH + 4 * 10**9, (2.0, 3.0), (2.5, 3.5), (3.0, 2.0), (2.0,))
+    assert samples[1] == Sample(
+        8, EPOCH + 4 * 10**9, (2.0, 3.0), (2.5, 3.5), (3.0, 2.0), (2.0,)
+    )
     session = read_session(write_session(tmp_path / "two", samples))
     assert session.samples == samples
     assert session.counts == {"/plant/sample": 20}
@@ -88,7 +113,9 @@ def test_a_plant_with_several_signals_has_samples_alone(tmp_path):
     for name in ("references", "outputs", "inputs", "disturbances"):
         np.testing.assert_array_equal(getattr(window_read, name), getattr(window, name))
     wrong = [*samples[:5], dataclasses.replace(samples[5], outputs=(1.0, math.nan))]
-    with pytest.raises(SessionError, match=r"output of sample 12 is 1.0, nan; only finite values"):
+    with pytest.raises(
+        SessionError, match=r"output of sample 12 is 1.0, nan; only finite values"
+    ):
         write_session(tmp_path / "wrong", wrong)
 
 
@@ -104,7 +131,8 @@ def test_rosbags_reads_folder_metadata_and_messages(tmp_path):
         assert offered["/plant/temperature"].reliability == QosReliability.BEST_EFFORT
         assert offered["/plant/reference"].durability == QosDurability.TRANSIENT_LOCAL
         assert reader.start_time == EPOCH
-        assert reader.duration == 699 * 10**9 + 1  # rosbags counts the end as the nanosecond after
+        # rosbags counts the end as the nanosecond after
+        assert reader.duration == 699 * 10**9 + 1
         theirs = [
             (c.topic, stamp, bytes(data), reader.deserialize(data, c.msgtype))
             for c, stamp, data in reader.messages()
@@ -114,14 +142,22 @@ def test_rosbags_reads_folder_metadata_and_messages(tmp_path):
     stored = [m for topic, *_, m in theirs if topic == "/plant/sample"]
     assert [
         Sample(
-            m.index, m.header.stamp.sec * 10**9 + m.header.stamp.nanosec, *m.reference, *m.output, *m.input
+            m.index,
+            m.header.stamp.sec * 10**9 + m.header.stamp.nanosec,
+            *m.reference,
+            *m.output,
+            *m.input,
         )
         for m in stored
     ] == samples
     assert {m.header.frame_id for m in stored} == {"plate"}
     readings = [m for topic, *_, m in theirs if topic == "/plant/temperature"]
-    assert [(m.temperature, m.variance) for m in readings] == [(s.output, 0.0) for s in samples]
-    changes = [(stamp, m.data) for topic, stamp, _, m in theirs if topic == "/plant/reference"]
+    assert [(m.temperature, m.variance) for m in readings] == [
+        (s.output, 0.0) for s in samples
+    ]
+    changes = [
+        (stamp, m.data) for topic, stamp, _, m in theirs if topic == "/plant/reference"
+    ]
     assert changes == [(EPOCH, 30.0), (EPOCH + 600 * 10**9, 50.0)]
 
 
@@ -150,7 +186,9 @@ def test_only_sessions_are_overwritten(tmp_path):
     assert (folder / "thesis.tex").read_text() == "years of work"
 
 
-def test_the_replaced_session_comes_back_when_the_new_one_cannot_move(tmp_path, monkeypatch):
+def test_the_replaced_session_comes_back_when_the_new_one_cannot_move(
+    tmp_path, monkeypatch
+):
     folder = write_session(tmp_path / "run", hour(10))
     rename = Path.rename
 
@@ -168,7 +206,10 @@ def test_the_replaced_session_comes_back_when_the_new_one_cannot_move(tmp_path, 
 
 def test_a_place_that_cannot_be_written_is_named_and_a_session_needs_a_name(tmp_path):
     (tmp_path / "file").write_text("x")
-    for place, message in ((tmp_path / "file" / "run", "cannot be written"), ("/", "a folder with a name")):
+    for place, message in (
+        (tmp_path / "file" / "run", "cannot be written"),
+        ("/", "a folder with a name"),
+    ):
         with pytest.raises(SessionError, match=message):
             write_session(place, hour(3))
 
@@ -177,7 +218,10 @@ def test_a_place_that_cannot_be_written_is_named_and_a_session_needs_a_name(tmp_
     ("samples", "message"),
     [
         ([], "has no samples"),
-        ([Sample(0, 0, 1.0, 2.0, 3.0), Sample(2, 2, 1.0, 2.0, 3.0)], "sample 2 follows sample 0"),
+        (
+            [Sample(0, 0, 1.0, 2.0, 3.0), Sample(2, 2, 1.0, 2.0, 3.0)],
+            "sample 2 follows sample 0",
+        ),
         ([Sample(5, 0, 1.0, float("nan"), 3.0)], "output of sample 5 is nan"),
         ([Sample(5, -1, 1.0, 2.0, 3.0)], "negative time"),
         ([Sample(5, 2**61, 1.0, 2.0, 3.0)], "outside 1970 to 2038"),
@@ -238,7 +282,11 @@ def test_a_kill_while_writing_leaves_no_session(tmp_path):
 def fill(recording: Recording, count: int, first: int = 0) -> None:
     recording.add_topic(SAMPLE)
     for k in range(first, first + count):
-        recording.write(SAMPLE.name, encode_sample(Sample(k, k * SECOND, 30.0, 25.0, 1.0)), k * SECOND)
+        recording.write(
+            SAMPLE.name,
+            encode_sample(Sample(k, k * SECOND, 30.0, 25.0, 1.0)),
+            k * SECOND,
+        )
         if k % 10 == 9:
             recording.flush()
 
@@ -249,7 +297,11 @@ def indices(folder: Path) -> list[int]:
 
 @pytest.mark.parametrize(
     ("limits", "files"),
-    [(RecordingLimits(0.0), 1), (RecordingLimits(0.0, 0.0125), 5), (RecordingLimits(0.0, 0.0, 49.0), 8)],
+    [
+        (RecordingLimits(0.0), 1),
+        (RecordingLimits(0.0, 0.0125), 5),
+        (RecordingLimits(0.0, 0.0, 49.0), 8),
+    ],
 )
 def test_a_split_session_is_one_session(tmp_path, limits, files):
     recording = Recording(tmp_path / "run", limits, ros_distro="kilted")
@@ -277,25 +329,34 @@ def test_every_file_stands_for_itself(tmp_path):
         "rosbag2_bagfile_information"
     ]
     assert [f["message_count"] for f in described["files"]] == [50, 50, 20]
-    assert [f["starting_time"]["nanoseconds_since_epoch"] for f in described["files"]] == [
-        k * 50 * SECOND for k in range(3)
-    ]
+    assert [
+        f["starting_time"]["nanoseconds_since_epoch"] for f in described["files"]
+    ] == [k * 50 * SECOND for k in range(3)]
     for k, count in enumerate([50, 50, 20]):
         with (recording.folder / f"run_{k}.mcap").open("rb") as file:
             reader = make_reader(file, validate_crcs=True)
-            records = {record.name: record.metadata for record in reader.iter_metadata()}
+            records = {
+                record.name: record.metadata for record in reader.iter_metadata()
+            }
             assert len(list(reader.iter_messages())) == count
         assert records["twinmatch/settings"] == {"matcher": "{}"}
         metadata = yaml.safe_load(records["rosbag2"]["serialized_metadata"])
-        assert (metadata["message_count"], metadata["relative_file_paths"]) == (count, [f"run_{k}.mcap"])
+        assert (metadata["message_count"], metadata["relative_file_paths"]) == (
+            count,
+            [f"run_{k}.mcap"],
+        )
 
 
 def test_a_file_without_messages_does_not_widen_the_span(tmp_path):
     with SessionWriter(tmp_path / "run") as writer:
         writer.add_topic(SAMPLE)
-        writer.write(SAMPLE.name, encode_sample(Sample(7, 7, 1.0, 2.0, 3.0)), 7 * SECOND)
+        writer.write(
+            SAMPLE.name, encode_sample(Sample(7, 7, 1.0, 2.0, 3.0)), 7 * SECOND
+        )
         writer.split()
-    described = yaml.safe_load((tmp_path / "run/metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    described = yaml.safe_load((tmp_path / "run/metadata.yaml").read_text())[
+        "rosbag2_bagfile_information"
+    ]
     assert described["starting_time"]["nanoseconds_since_epoch"] == 7 * SECOND
     assert described["duration"]["nanoseconds"] == 0
     assert indices(tmp_path / "run") == [7]
@@ -312,8 +373,13 @@ def test_a_nearly_full_disk_is_not_begun_on(tmp_path):
 
 def test_it_stops_in_time_and_leaves_a_whole_session(tmp_path):
     rooms = itertools.chain([90_000_000] * 5, itertools.repeat(49_000_000))
-    recording = Recording(tmp_path / "run", RecordingLimits(50.0), free=lambda _: next(rooms))
-    with pytest.raises(DiskFullError, match=r"stopped after 50 messages: no space left .*: 49 MB are free"):
+    recording = Recording(
+        tmp_path / "run", RecordingLimits(50.0), free=lambda _: next(rooms)
+    )
+    with pytest.raises(
+        DiskFullError,
+        match=r"stopped after 50 messages: no space left .*: 49 MB are free",
+    ):
         fill(recording, 500)
     session = read_session(tmp_path / "run")
     assert len(session.samples) == 50
@@ -331,7 +397,9 @@ def test_the_room_is_that_of_the_disk(tmp_path):
 def test_after_a_failed_split_nothing_is_written(tmp_path):
     recording = Recording(tmp_path / "run", RecordingLimits(0.0, 0.0, 5.0))
     (tmp_path / "run" / "run_1.mcap").mkdir()
-    with pytest.raises(SessionError, match=r"cannot be written \(Is a directory\) after 10 messages"):
+    with pytest.raises(
+        SessionError, match=r"cannot be written \(Is a directory\) after 10 messages"
+    ):
         fill(recording, 50)
     with pytest.raises(SessionError, match="writing failed before"):
         recording.write(SAMPLE.name, b"", 0)

@@ -31,14 +31,20 @@ INDEXES = (Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX, Opcode.FOOTER)
 NOTE = Topic("/notes", "std_msgs/msg/String", "string data\n", "RIHS01_ab", Qos())
 
 
-def record(folder: Path, count: int = 60, *, split: int = 0, finish: bool = False) -> Path:
+def record(
+    folder: Path, count: int = 60, *, split: int = 0, finish: bool = False
+) -> Path:
     """A session that was flushed every ten samples; not finished, as after a kill."""
     writer = SessionWriter(folder, ros_distro="kilted")
     writer.add_record("twinmatch/parameters/matcher", {"seed": "7"})
     writer.add_topic(SAMPLE)
     writer.add_topic(NOTE)
     for k in range(count):
-        writer.write(SAMPLE.name, encode_sample(Sample(k, k * SECOND, 30.0, 25.0, 1.0)), k * SECOND)
+        writer.write(
+            SAMPLE.name,
+            encode_sample(Sample(k, k * SECOND, 30.0, 25.0, 1.0)),
+            k * SECOND,
+        )
         if k % 10 == 9:
             writer.flush()
         if split and k % split == split - 1:
@@ -61,8 +67,12 @@ def check_whole(folder: Path, count: int) -> None:
     assert [s.index for s in session.samples] == list(range(count))
     with Reader(folder) as reader:
         assert reader.message_count == count
-        assert [t for _, t, _ in reader.messages()] == [k * SECOND for k in range(count)]
-    assert [p.name for p in folder.parent.iterdir()] == [folder.name], "nothing is left beside it"
+        assert [t for _, t, _ in reader.messages()] == [
+            k * SECOND for k in range(count)
+        ]
+    assert [p.name for p in folder.parent.iterdir()] == [folder.name], (
+        "nothing is left beside it"
+    )
 
 
 @pytest.mark.parametrize("split", [0, 25])
@@ -75,7 +85,11 @@ def test_a_killed_recording_is_made_whole(tmp_path, split):
     assert read_session(folder).records["twinmatch/parameters/matcher"] == {"seed": "7"}
     assert {t.name for t in read_session(folder).topics} == {"/plant/sample", "/notes"}
     files = [p.name for p in sorted(folder.glob("*.mcap"))]
-    assert files == ["run_0.mcap"] if not split else ["run_0.mcap", "run_1.mcap", "run_2.mcap"]
+    assert (
+        files == ["run_0.mcap"]
+        if not split
+        else ["run_0.mcap", "run_1.mcap", "run_2.mcap"]
+    )
 
 
 @pytest.mark.parametrize("finish", [True, False])
@@ -91,7 +105,9 @@ def test_a_whole_session_is_left_alone_also_by_a_second_repair(tmp_path, finish)
 
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory):
-    return (record(tmp_path_factory.mktemp("killed") / "run") / "run_0.mcap").read_bytes()
+    return (
+        record(tmp_path_factory.mktemp("killed") / "run") / "run_0.mcap"
+    ).read_bytes()
 
 
 @settings(max_examples=20)
@@ -115,7 +131,10 @@ def test_whatever_can_be_read_of_a_torn_file_is_kept(tmp_path_factory, killed, c
 @pytest.mark.parametrize(
     ("spoil", "faults"),
     [
-        (lambda f: (f / "metadata.yaml").unlink(), ("metadata.yaml is missing or unreadable",)),
+        (
+            lambda f: (f / "metadata.yaml").unlink(),
+            ("metadata.yaml is missing or unreadable",),
+        ),
         (
             lambda f: (f / "run_0.mcap").rename(f / "other_0.mcap"),
             ("metadata.yaml does not list the files that exist",),
@@ -143,13 +162,18 @@ def test_of_a_damaged_session_the_original_is_kept(tmp_path, capsys):
     before = content(folder)
     shutil.copytree(folder, tmp_path / "same")
     assert main(["repair", str(tmp_path / "same")]) == 0
-    assert f"the original was kept: {tmp_path / 'same'}.broken" in capsys.readouterr().out
+    assert (
+        f"the original was kept: {tmp_path / 'same'}.broken" in capsys.readouterr().out
+    )
     repair = repair_session(folder)
     assert repair.original == tmp_path / "run.broken"
     assert content(repair.original) == before
     assert "only 59 of 60 messages are left" in repair.faults[0]
     assert indices(folder) == [k for k in range(60) if k != 33]
-    assert any("only 59 of 60 messages are left" in loss for loss in read_session(folder).missing)
+    assert any(
+        "only 59 of 60 messages are left" in loss
+        for loss in read_session(folder).missing
+    )
     with Reader(folder) as reader:
         assert reader.message_count == repair.messages
     assert repair_session(folder).faults == ()
@@ -209,11 +233,15 @@ def less(copy: Path) -> None:
         ),
     ],
 )
-def test_a_copy_that_is_not_the_same_does_not_take_the_place(tmp_path, monkeypatch, spoil, message):
+def test_a_copy_that_is_not_the_same_does_not_take_the_place(
+    tmp_path, monkeypatch, spoil, message
+):
     folder = record(tmp_path / "run")
     before = content(folder)
     real = repairing._rewrite
-    monkeypatch.setattr(repairing, "_rewrite", lambda copy, *more: (real(copy, *more), spoil(copy)))
+    monkeypatch.setattr(
+        repairing, "_rewrite", lambda copy, *more: (real(copy, *more), spoil(copy))
+    )
     with pytest.raises(SessionError, match=message):
         repair_session(folder)
     assert content(folder) == before
@@ -251,7 +279,10 @@ def test_the_command_says_what_was_saved(tmp_path, capsys):
     assert "the file is truncated" in printed
     assert "60 messages over 59.0 s were saved" in printed
     assert main(["repair", str(folder)]) == 0
-    assert "complete, 60 messages over 59.0 s; nothing to repair" in capsys.readouterr().out
+    assert (
+        "complete, 60 messages over 59.0 s; nothing to repair"
+        in capsys.readouterr().out
+    )
     assert main(["repair", str(tmp_path / "nothing")]) == 2
     assert "does not exist" in capsys.readouterr().err
 
@@ -273,13 +304,20 @@ with SessionWriter(sys.argv[1]) as writer:
 def test_a_running_recorder_keeps_its_files_and_a_killed_one_lets_go(tmp_path):
     folder = tmp_path / "run"
     with subprocess.Popen(
-        [sys.executable, "-c", RECORDER, folder], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", RECORDER, folder],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     ) as recorder:
-        for step in ("flush", "split", "flush"):  # within a file, between two, and in the second
+        for step in ("flush", "split", "flush"):
+            # within a file, between two, and in the second
             print(step, file=recorder.stdin, flush=True)
             assert recorder.stdout.readline()
             before = content(folder)
-            with pytest.raises(SessionError, match=r"run_\d.mcap is still being written; end its recorder"):
+            with pytest.raises(
+                SessionError,
+                match=r"run_\d.mcap is still being written; end its recorder",
+            ):
                 repair_session(folder)
             assert content(folder) == before
         recorder.send_signal(signal.SIGKILL)
@@ -305,13 +343,17 @@ def test_messages_that_are_missing_are_counted_and_the_original_is_kept(tmp_path
         "metadata.yaml lists other numbers of messages than the files hold: 60 of /plant/sample (35 found)",
     )
     assert (repair.messages, content(repair.original)) == (35, before)
-    listed = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    listed = yaml.safe_load((folder / "metadata.yaml").read_text())[
+        "rosbag2_bagfile_information"
+    ]
     assert (listed["message_count"], repair_session(folder).faults) == (35, ())
 
 
 @pytest.mark.parametrize("cut", [False, True])
 @pytest.mark.parametrize("library", ["somebody", ""])
-def test_what_others_have_written_is_refused_and_left_as_it_is(tmp_path, capsys, library, cut):
+def test_what_others_have_written_is_refused_and_left_as_it_is(
+    tmp_path, capsys, library, cut
+):
     """JSON, IDL, compressed chunks, attachments: our copy would hold none of them."""
     folder = tmp_path / "theirs"
     folder.mkdir()
@@ -322,7 +364,9 @@ def test_what_others_have_written_is_refused_and_left_as_it_is(tmp_path, capsys,
         heater = out.register_channel(
             "/h", "cdr", out.register_schema("std_msgs/msg/Float64", "ros2idl", idl)
         )
-        notes = out.register_channel("/notes", "json", out.register_schema("Note", "jsonschema", b"{}"))
+        notes = out.register_channel(
+            "/notes", "json", out.register_schema("Note", "jsonschema", b"{}")
+        )
         out.add_attachment(0, 0, "calibration.yaml", "text/yaml", b"gain: 1.5")
         for k in range(100):
             out.add_message(heater, k, b"\0\1\0\0" + bytes(8), k)
@@ -332,7 +376,10 @@ def test_what_others_have_written_is_refused_and_left_as_it_is(tmp_path, capsys,
     before = content(folder)
     assert main(["repair", str(folder)]) == 2
     printed = capsys.readouterr().err
-    assert f"was written by {repr(library) if library else 'another program'}; nothing was changed" in printed
+    assert (
+        f"was written by {repr(library) if library else 'another program'}; nothing was changed"
+        in printed
+    )
     assert printed.count("\n") == 1
     assert content(folder) == before
     assert [p.name for p in tmp_path.iterdir()] == ["theirs"]
@@ -343,7 +390,9 @@ def test_what_two_repairs_have_lost_is_said_of_their_result(tmp_path):
     for index in (33, 12):
         file = folder / "run_0.mcap"
         data = bytearray(file.read_bytes())
-        place = data.index(encode_sample(Sample(index, index * SECOND, 30.0, 25.0, 1.0)))
+        place = data.index(
+            encode_sample(Sample(index, index * SECOND, 30.0, 25.0, 1.0))
+        )
         data[place : place + 60] = bytes(60)
         file.write_bytes(data)
         shutil.rmtree(repair_session(folder).original)
@@ -359,11 +408,18 @@ def test_a_session_whose_index_is_wrong_is_not_called_complete(tmp_path, place):
     folder = record(tmp_path / "run", finish=True)
     file = folder / "run_0.mcap"
     data = bytearray(file.read_bytes())
-    records = [r for r in Walk(BytesIO(data), len(MAGIC), len(data)) if r.opcode in INDEXES]
+    records = [
+        r for r in Walk(BytesIO(data), len(MAGIC), len(data)) if r.opcode in INDEXES
+    ]
     of_messages = next(r for r in records if r.opcode == Opcode.MESSAGE_INDEX)
     of_chunks = next(r for r in records if r.opcode == Opcode.CHUNK_INDEX)
     footer = next(r for r in records if r.opcode == Opcode.FOOTER)
-    wrong = (of_messages.begin + 6, of_messages.begin + 14, of_chunks.begin + 16, footer.begin)[place]
+    wrong = (
+        of_messages.begin + 6,
+        of_messages.begin + 14,
+        of_chunks.begin + 16,
+        footer.begin,
+    )[place]
     data[wrong] ^= 8
     file.write_bytes(data)
     assert len(indices(folder)) == 60

@@ -35,7 +35,9 @@ def test_rows_are_the_samples_with_these_indices(
     with closing(SampleSpool()) as spool:  # an example may end in the middle
         for step in steps:
             signals = [data.draw(st.tuples(*[numbers] * width)) for width in shape]
-            samples.append(Sample(index, index * 1000, *signals, seen=data.draw(st.booleans())))
+            samples.append(
+                Sample(index, index * 1000, *signals, seen=data.draw(st.booleans()))
+            )
             assert spool.continued_by(samples[-1])
             spool.push(samples[-1])
             assert not spool.continued_by(samples[-1])
@@ -50,10 +52,16 @@ def test_rows_are_the_samples_with_these_indices(
 
 def sample_of(row: np.void) -> Sample:
     signals = [tuple(row[name].tolist()) for name in SIGNALS]
-    return Sample(row["index"].item(), row["stamp"].item(), *signals, seen=row["seen"].item())
+    return Sample(
+        row["index"].item(), row["stamp"].item(), *signals, seen=row["seen"].item()
+    )
 
 
-@given(st.lists(st.binary(max_size=30), max_size=20), st.integers(0, 25), st.integers(0, 25))
+@given(
+    st.lists(st.binary(max_size=30), max_size=20),
+    st.integers(0, 25),
+    st.integers(0, 25),
+)
 def test_messages_come_back_by_their_number_and_repeated_ones_count_once(
     messages: list[bytes], number: int, most: int
 ) -> None:
@@ -61,7 +69,11 @@ def test_messages_come_back_by_their_number_and_repeated_ones_count_once(
     for data in messages:
         texts.push(data)
         texts.push(data)
-    once = [data for data, before in zip(messages, [b"", *messages], strict=False) if data != before]
+    once = [
+        data
+        for data, before in zip(messages, [b"", *messages], strict=False)
+        if data != before
+    ]
     assert len(texts) == len(once)
     assert list(texts.since(number, most)) == once[number : number + most]
     texts.close()

@@ -16,7 +16,11 @@ from twinmatch.sessions.messages import PLANT_TOPICS, SAMPLE
 from twinmatch.signals import Sample
 
 IMAGE = Topic(
-    "/thermal/image_raw", "sensor_msgs/msg/Image", "uint8[] data\n", "RIHS01_ab", Qos("best_effort")
+    "/thermal/image_raw",
+    "sensor_msgs/msg/Image",
+    "uint8[] data\n",
+    "RIHS01_ab",
+    Qos("best_effort"),
 )
 
 
@@ -33,7 +37,11 @@ def write(folder: Path, count: int, **options: str) -> Path:
 
 
 def test_raw_messages_of_any_type_come_back_as_they_were(tmp_path):
-    stored = [(IMAGE, 5, 4, b"\0\1\0\0 abc"), (SAMPLE, 6, 6, encoded(0)), (IMAGE, 7, 5, b"\0\1\0\0 def")]
+    stored = [
+        (IMAGE, 5, 4, b"\0\1\0\0 abc"),
+        (SAMPLE, 6, 6, encoded(0)),
+        (IMAGE, 7, 5, b"\0\1\0\0 def"),
+    ]
     with SessionWriter(tmp_path / "live", ros_distro="kilted") as writer:
         for topic in (SAMPLE, IMAGE):
             writer.add_topic(topic)
@@ -61,7 +69,9 @@ def test_the_file_says_all_that_rosbag2_asks(tmp_path):
     assert schema.data.decode() == SAMPLE.schema
     assert (channel.topic, channel.message_encoding) == ("/plant/sample", "cdr")
     assert channel.metadata["topic_type_hash"] == SAMPLE.type_hash
-    written = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    written = yaml.safe_load((folder / "metadata.yaml").read_text())[
+        "rosbag2_bagfile_information"
+    ]
     assert record.name == "rosbag2"
     assert yaml.safe_load(record.metadata["serialized_metadata"]) == written
     (listed,) = written["topics_with_message_count"]
@@ -89,7 +99,10 @@ def test_adding_a_topic_again_is_harmless_but_not_as_another(tmp_path):
         for topic in PLANT_TOPICS:
             writer.add_topic(topic)
             writer.add_topic(topic)
-        with pytest.raises(SessionError, match="/plant/sample was added before with another type or QoS"):
+        with pytest.raises(
+            SessionError,
+            match="/plant/sample was added before with another type or QoS",
+        ):
             writer.add_topic(SAMPLE._replace(qos=Qos("best_effort")))
 
 
@@ -150,7 +163,9 @@ def test_a_full_disk_is_said_once_and_what_was_written_is_kept(tmp_path):
     writer.add_topic(SAMPLE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
     try:
-        with pytest.raises(SessionError, match="free some disk space or choose another folder"):
+        with pytest.raises(
+            SessionError, match="free some disk space or choose another folder"
+        ):
             record_flushing(writer)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

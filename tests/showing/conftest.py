@@ -11,7 +11,12 @@ from twinmatch.offline.judging import Judgement
 from twinmatch.plants.tclab import TCLabBoth
 from twinmatch.sessions import write_session
 from twinmatch.sessions.metadata import PLANT
-from twinmatch.showing.report.report import JudgedSession, SessionReport, build_report, judge_for_report
+from twinmatch.showing.report.report import (
+    JudgedSession,
+    SessionReport,
+    build_report,
+    judge_for_report,
+)
 
 ENDS = 1640
 """Samples; from the 1500th on T2 reads 5 °C too much."""
@@ -29,7 +34,10 @@ def kit(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def driven(kit: Path) -> Path:
     """Parameters with which it is judged under its inputs, as if its loop were not known."""
     path = kit.with_name("driven.yaml")
-    path.write_text("/**:\n  ros__parameters: {plant: tclab-both, loop: unknown}\n", encoding="utf-8")
+    path.write_text(
+        "/**:\n  ros__parameters: {plant: tclab-both, loop: unknown}\n",
+        encoding="utf-8",
+    )
     return path
 
 

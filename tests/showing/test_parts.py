@@ -23,12 +23,29 @@ from twinmatch.plants import PLANTS, Peltier, TCLabBoth
 from twinmatch.sessions import samples_of
 from twinmatch.showing.family import Member, criterion_rows, family
 from twinmatch.showing.figures.drawing import png
-from twinmatch.showing.figures.family import draw_criteria, draw_matrix, draw_responses, draw_uncertainty
+from twinmatch.showing.figures.family import (
+    draw_criteria,
+    draw_matrix,
+    draw_responses,
+    draw_uncertainty,
+)
 from twinmatch.showing.figures.forecasts import draw_forecasts
-from twinmatch.showing.forecasts import comparison_words, forecast_document, forecast_words
+from twinmatch.showing.forecasts import (
+    comparison_words,
+    forecast_document,
+    forecast_words,
+)
 from twinmatch.showing.quantities import in_order, number, parameter_format
 from twinmatch.showing.series import Fan, compare, fan, rolling_rms
-from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, ORDERS, PLANT, SET_POINT, TEXT
+from twinmatch.showing.style import (
+    CLOSED,
+    DRIVEN,
+    LEVELS,
+    ORDERS,
+    PLANT,
+    SET_POINT,
+    TEXT,
+)
 from twinmatch.showing.summary import document, sentence
 from twinmatch.signals import KELVIN, Sample, stretches
 from twinmatch.twin import MatchReport, Twin, TwinSettings, filled_stretches
@@ -45,10 +62,17 @@ def test_every_parameter_has_a_symbol_a_unit_and_words(plant: type[Plant]) -> No
 
 
 def test_parameters_are_shown_in_units_that_read_well() -> None:
-    alpha, slope, room = (parameter_format(Peltier, name) for name in ("seebeck", "seebeck_slope", "ambient"))
+    alpha, slope, room = (
+        parameter_format(Peltier, name)
+        for name in ("seebeck", "seebeck_slope", "ambient")
+    )
     assert (alpha.text(0.06), alpha.label) == ("60.0", "α / (mV/K)")
     assert (slope.text(1.2e-4), slope.unit) == ("120", "µV/K²")
-    assert (room.text(KELVIN + 22.5), room.unit, room.error_text(0.5)) == ("22.5", "°C", "0.50")
+    assert (room.text(KELVIN + 22.5), room.unit, room.error_text(0.5)) == (
+        "22.5",
+        "°C",
+        "0.50",
+    )
     assert parameter_format(Peltier, "conductance").text(0.7) == "0.700"
     sink = parameter_format(Peltier, "sink")
     assert (sink.symbol, sink.text(KELVIN + 30.0)) == ("T_B(0)", "30.0")
@@ -60,32 +84,51 @@ def test_parameters_are_shown_in_units_that_read_well() -> None:
 def test_another_plant_is_shown_as_it_declares_itself() -> None:
     inertia = parameter_format(Motor, "j")
     friction = parameter_format(Motor, "b")
-    assert (inertia.text(4e-4), inertia.unit) == ("0.000400", "kg m²"), "kilograms take no prefix"
+    assert (inertia.text(4e-4), inertia.unit) == ("0.000400", "kg m²"), (
+        "kilograms take no prefix"
+    )
     assert (friction.symbol, friction.words) == ("b", "viscous friction")
     assert parameter_format(Motor, "omega").unit == "rad/s"
 
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(1.005, "1.00"), (-2.5, "−2.50"), (-0.001, "0.00"), (math.nan, "–"), (None, "–"), (math.inf, "∞")],
+    [
+        (1.005, "1.00"),
+        (-2.5, "−2.50"),
+        (-0.001, "0.00"),
+        (math.nan, "–"),
+        (None, "–"),
+        (math.inf, "∞"),
+    ],
 )
 def test_numbers_read_well(value: float | None, text: str) -> None:
     assert number(value) == text
 
 
 def criteria(gain: int, loss: float) -> Criteria:
-    return Criteria(1000, 1000 - gain, gain, gain / 1000, math.log(loss), 100 * math.log(loss), loss)
+    return Criteria(
+        1000, 1000 - gain, gain, gain / 1000, math.log(loss), 100 * math.log(loss), loss
+    )
 
 
 def test_the_best_is_the_largest_gain_and_the_smallest_of_the_others() -> None:
     scores = [("22221", 500, 1.0), ("33331", 600, 2.0), ("44441", 600, 0.5)]
     orders = tuple(
-        OrderScore(name, criteria(gain, loss), criteria(gain, loss), criteria(gain, loss))
+        OrderScore(
+            name, criteria(gain, loss), criteria(gain, loss), criteria(gain, loss)
+        )
         for name, gain, loss in scores
     )
-    candidate = CandidateScore("c", 50.0, rig(), 0, 99, orders, "33331", 0.0, None, None)
+    candidate = CandidateScore(
+        "c", 50.0, rig(), 0, 99, orders, "33331", 0.0, None, None
+    )
     rows = criterion_rows(candidate)
-    assert [(r.output, r.order) for r in rows[:3]] == [("y", "22221"), ("y", "33331"), ("y", "44441")]
+    assert [(r.output, r.order) for r in rows[:3]] == [
+        ("y", "22221"),
+        ("y", "33331"),
+        ("y", "44441"),
+    ]
     assert [r.chosen for r in rows[:3]] == [False, True, False]
 
     def is_best(column: int) -> list[bool]:
@@ -97,10 +140,17 @@ def test_the_best_is_the_largest_gain_and_the_smallest_of_the_others() -> None:
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40), st.integers(1, 12))
-def test_the_rolling_rms_is_that_of_the_newest_values(values: list[float], count: int) -> None:
+def test_the_rolling_rms_is_that_of_the_newest_values(
+    values: list[float], count: int
+) -> None:
     table = np.array(values)
-    expected = [math.sqrt(np.mean(table[max(0, k + 1 - count) : k + 1] ** 2)) for k in range(table.size)]
-    np.testing.assert_allclose(rolling_rms(table, count), expected, rtol=1e-6, atol=1e-4)
+    expected = [
+        math.sqrt(np.mean(table[max(0, k + 1 - count) : k + 1] ** 2))
+        for k in range(table.size)
+    ]
+    np.testing.assert_allclose(
+        rolling_rms(table, count), expected, rtol=1e-6, atol=1e-4
+    )
 
 
 def test_the_right_twin_leaves_nothing_and_gaps_are_stepped_over() -> None:
@@ -108,18 +158,29 @@ def test_the_right_twin_leaves_nothing_and_gaps_are_stepped_over() -> None:
     reference = np.repeat([30.0, 60.0], 150)
     window = run(plant, reference)
     table = enumerate(zip(reference, window.output, window.input, strict=True))
-    samples = [Sample(k, k * 10**9, float(r), float(y), float(u)) for k, (r, y, u) in table]
+    samples = [
+        Sample(k, k * 10**9, float(r), float(y), float(u)) for k, (r, y, u) in table
+    ]
     settings = TwinSettings()
-    filled = filled_stretches(samples[:100] + samples[106:108] + samples[114:], settings)
+    filled = filled_stretches(
+        samples[:100] + samples[106:108] + samples[114:], settings
+    )
     parts = compare(filled, plant, settings)
     assert [len(p.window) for p in parts] == [100, 186]
     for part in parts:
         np.testing.assert_allclose(part.closed_residual_y, 0, atol=1e-6)
         np.testing.assert_allclose(part.closed_residual_u, 0, atol=1e-3)
         np.testing.assert_allclose(part.driven_residual_y, 0, atol=1e-6)
-    [part] = compare(filled_stretches(samples[:50] + samples[52:], settings), plant, settings)
+    [part] = compare(
+        filled_stretches(samples[:50] + samples[52:], settings), plant, settings
+    )
     assert part.time.size == 298
-    assert part.received.size == part.closed_residual_y.size == part.driven_residual_y.size == 296
+    assert (
+        part.received.size
+        == part.closed_residual_y.size
+        == part.driven_residual_y.size
+        == 296
+    )
     # Two inputs that were computed for interpolated readings are wrong by a part of their own change.
     np.testing.assert_allclose(part.driven_residual_y, 0, atol=0.02)
 
@@ -134,9 +195,20 @@ DEFICIENCIES = {
 
 
 def lab(rgb: np.ndarray) -> np.ndarray:
-    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ rgb
+    xyz = (
+        np.array(
+            [
+                [0.4124, 0.3576, 0.1805],
+                [0.2126, 0.7152, 0.0722],
+                [0.0193, 0.1192, 0.9505],
+            ]
+        )
+        @ rgb
+    )
     t = xyz / np.array([0.9505, 1.0, 1.089])
-    f = np.where(t > (6 / 29) ** 3, np.cbrt(np.maximum(t, 0)), t / (3 * (6 / 29) ** 2) + 4 / 29)
+    f = np.where(
+        t > (6 / 29) ** 3, np.cbrt(np.maximum(t, 0)), t / (3 * (6 / 29) ** 2) + 4 / 29
+    )
     return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
 
@@ -146,7 +218,9 @@ def lab(rgb: np.ndarray) -> np.ndarray:
     [(PLANT, CLOSED, DRIVEN, SET_POINT), tuple(LEVELS.values()), ORDERS],
     ids=["signals", "levels", "orders"],
 )
-def test_colours_that_stand_side_by_side_are_distinguished(colours: tuple[str, ...], deficiency: str) -> None:
+def test_colours_that_stand_side_by_side_are_distinguished(
+    colours: tuple[str, ...], deficiency: str
+) -> None:
     """A difference of 10 in CIELAB is plain to see; 2 is just noticeable."""
     change = np.array(DEFICIENCIES[deficiency].split(), dtype=float).reshape(3, 3)
     as_perceived = [lab(np.clip(change @ linear(c), 0, 1)) for c in colours]
@@ -162,13 +236,20 @@ def test_text_is_dark_on_white() -> None:
 # The candidates with their windows and models.
 
 
-GIVEN = Candidate("from the paper", 90.0, rig(seebeck=0.0295, conductance=0.38, heat_capacity=13.7), None)
+GIVEN = Candidate(
+    "from the paper",
+    90.0,
+    rig(seebeck=0.0295, conductance=0.38, heat_capacity=13.7),
+    None,
+)
 
 
 @pytest.fixture(scope="module")
 def samples() -> list[Sample]:
     reference = np.repeat([30.0, 60.0], [60, 250])
-    return samples_of(run(rig(seebeck=0.06, conductance=0.5, heat_capacity=27.0), reference, seed=11))
+    return samples_of(
+        run(rig(seebeck=0.06, conductance=0.5, heat_capacity=27.0), reference, seed=11)
+    )
 
 
 Judged = tuple[list[MatchReport], list[Verdict]]
@@ -178,7 +259,9 @@ Judged = tuple[list[MatchReport], list[Verdict]]
 def judged(samples: list[Sample]) -> Judged:
     twin = Twin(TwinSettings(), [GIVEN])
     outcomes = [twin.push(sample) for sample in samples]
-    return [o.match for o in outcomes if o.match], [v for o in outcomes for v in o.verdicts]
+    return [o.match for o in outcomes if o.match], [
+        v for o in outcomes for v in o.verdicts
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -197,16 +280,23 @@ def test_matched_and_given_candidates_have_their_window_and_their_own_models(
     for member in members:
         assert (member.window.first, member.window.last) == judged[0][0].match.samples
         scores = [
-            score(model, member.measured, 2, absolute=Peltier.output.absolute) for model in member.models
+            score(model, member.measured, 2, absolute=Peltier.output.absolute)
+            for model in member.models
         ]
-        assert [s.total.gain for s in scores] == [o.total.gain for o in member.score.orders]
+        assert [s.total.gain for s in scores] == [
+            o.total.gain for o in member.score.orders
+        ]
         assert [s.u.bic for s in scores] == [o.u.bic for o in member.score.orders]
 
 
-def test_matches_go_into_the_json_with_what_is_known_of_them(judged: Judged, samples: list[Sample]) -> None:
+def test_matches_go_into_the_json_with_what_is_known_of_them(
+    judged: Judged, samples: list[Sample]
+) -> None:
     matches, verdicts = judged
     summary = summarise(stretches(samples, 1.0), verdicts, TwinSettings().law)
-    entry = json.loads(json.dumps(document("s", verdicts, summary, matches), allow_nan=False))
+    entry = json.loads(
+        json.dumps(document("s", verdicts, summary, matches), allow_nan=False)
+    )
     (match,) = entry["matches"]
     assert match["status"] == "accepted"
     assert match["free"] == ["seebeck", "conductance", "heat_capacity"]
@@ -217,7 +307,9 @@ def test_matches_go_into_the_json_with_what_is_known_of_them(judged: Judged, sam
     assert entry["summary"]["sentence"] == sentence(summary)
 
 
-def test_the_simulated_model_is_the_one_of_the_gain(members: tuple[Member, ...]) -> None:
+def test_the_simulated_model_is_the_one_of_the_gain(
+    members: tuple[Member, ...],
+) -> None:
     """Its first samples are the measured ones, which the gain's table copies."""
     member = members[0]
     answer = member.simulated("33331")
@@ -226,7 +318,9 @@ def test_the_simulated_model_is_the_one_of_the_gain(members: tuple[Member, ...])
     assert np.sqrt(np.mean((answer.output - member.measured.output) ** 2)) < 1.0
 
 
-def test_a_candidate_from_before_the_recording_is_left_out(samples: list[Sample], judged: Judged) -> None:
+def test_a_candidate_from_before_the_recording_is_left_out(
+    samples: list[Sample], judged: Judged
+) -> None:
     matches, verdicts = judged
     assert family(samples[100:], matches, verdicts[-1], TwinSettings()) == ()
     assert family(samples, matches, None, TwinSettings()) == ()
@@ -234,7 +328,12 @@ def test_a_candidate_from_before_the_recording_is_left_out(samples: list[Sample]
 
 def test_the_family_is_drawn(members: tuple[Member, ...], judged: Judged) -> None:
     verdict = judged[1][-1]
-    drawn = (draw_responses(members), draw_uncertainty(members), draw_criteria(verdict), draw_matrix(verdict))
+    drawn = (
+        draw_responses(members),
+        draw_uncertainty(members),
+        draw_criteria(verdict),
+        draw_matrix(verdict),
+    )
     for figure in drawn:
         assert png(figure, 50).startswith(b"\x89PNG")
 
@@ -243,7 +342,11 @@ def test_the_family_is_drawn(members: tuple[Member, ...], judged: Judged) -> Non
 
 
 def forecast(
-    output: Sequence[float], reference: Sequence[float], *, sample: int = 10, half: float = 0.5
+    output: Sequence[float],
+    reference: Sequence[float],
+    *,
+    sample: int = 10,
+    half: float = 0.5,
 ) -> Forecast:
     mean = np.array(output, dtype=np.float64)
     size = len(output)
@@ -256,13 +359,17 @@ def forecast(
         time=np.arange(1.0, size + 1),
         references=np.array(reference, dtype=np.float64),
         outputs=(Band(mean, mean - half, mean + half),),
-        inputs=(Band(entry, np.maximum(entry - 10, -255), np.minimum(entry + 10, 255)),),
+        inputs=(
+            Band(entry, np.maximum(entry - 10, -255), np.minimum(entry + 10, 255)),
+        ),
     )
 
 
 def recorded(reference: Sequence[float], *, missing: int | None = None) -> list[Sample]:
     """Samples 0 and on; the output is 50 °C and a tenth of the index."""
-    without_gap = [Sample(k, k * 10**9, r, 50 + 0.1 * k, 5.0 * k) for k, r in enumerate(reference)]
+    without_gap = [
+        Sample(k, k * 10**9, r, 50 + 0.1 * k, 5.0 * k) for k, r in enumerate(reference)
+    ]
     return [s for s in without_gap if s.index != missing]
 
 
@@ -274,22 +381,37 @@ def around(*, reference: Sequence[float], missing: int | None = None) -> Fan:
 
 def test_it_is_compared_with_the_measurements() -> None:
     compared = around(reference=[60.0] * 40)
-    assert (compared.past.last, compared.measured.first, compared.measured.last) == (10, 11, 20)  # type: ignore[union-attr]
+    assert (compared.past.last, compared.measured.first, compared.measured.last) == (
+        10,
+        11,
+        20,
+    )  # type: ignore[union-attr]
     np.testing.assert_allclose(compared.error, 0, atol=1e-12)
     y, u = compared.in_band
     assert y.tolist() == [1.0] * 10
-    assert u.tolist() == [float(abs(5 * k - (-200 + 300 * (k - 11) / 9)) <= 10) for k in range(11, 21)]
+    assert u.tolist() == [
+        float(abs(5 * k - (-200 + 300 * (k - 11) / 9)) <= 10) for k in range(11, 21)
+    ]
 
 
 @given(st.integers(11, 25), st.integers(11, 25), st.integers(11, 30))
-def test_it_is_so_up_to_another_set_point_a_missing_sample_or_the_end(step: int, gone: int, end: int) -> None:
+def test_it_is_so_up_to_another_set_point_a_missing_sample_or_the_end(
+    step: int, gone: int, end: int
+) -> None:
     reference = [60.0 if k < step else 70.0 for k in range(end)]
     compared = around(reference=reference, missing=gone)
     assert compared.judged == max(0, min(step, gone, end, 21) - 11)
-    assert compared.error.size == compared.in_band[0].size == compared.in_band[1].size == compared.judged
+    assert (
+        compared.error.size
+        == compared.in_band[0].size
+        == compared.in_band[1].size
+        == compared.judged
+    )
 
 
-def test_nothing_recorded_behind_it_is_nothing_to_say_and_what_was_known_ends_at_a_gap() -> None:
+def test_nothing_recorded_behind_it_is_nothing_to_say_and_what_was_known_ends_at_a_gap() -> (
+    None
+):
     unmeasured = around(reference=[60.0] * 11)
     assert unmeasured.measured is None
     assert comparison_words(unmeasured, Peltier) == []
@@ -302,7 +424,9 @@ def test_of_several_outputs_each_is_compared_while_all_inputs_are_as_assumed() -
     ten = np.arange(1.0, 11.0)
 
     def flat(level: float) -> Band:
-        return Band(np.full(10, level), np.full(10, level - 1.0), np.full(10, level + 1.0))
+        return Band(
+            np.full(10, level), np.full(10, level - 1.0), np.full(10, level + 1.0)
+        )
 
     made_forecast = Forecast(
         sample=10,
@@ -315,15 +439,21 @@ def test_of_several_outputs_each_is_compared_while_all_inputs_are_as_assumed() -
         inputs=(flat(30.0), flat(20.0)),
     )
     samples = [
-        Sample(k, k * 10**9, (0.0, 0.0), (50.5, 43.0), (30.0, 20.0 if k < 15 else 60.0)) for k in range(30)
+        Sample(k, k * 10**9, (0.0, 0.0), (50.5, 43.0), (30.0, 20.0 if k < 15 else 60.0))
+        for k in range(30)
     ]
     compared = fan(made_forecast, stretches(samples, 1.0))
     assert compared.judged == compared.alone(0).judged == 4
     assert compared.alone(0).error.tolist() == [0.5] * 4
     assert compared.alone(1).in_band[0].tolist() == [0.0] * 4
     settings = TwinSettings.of(TCLabBoth, law=None)
-    ends = [line for line in forecast_words(made_forecast, settings) if "after 10 s" in line]
-    assert [line.split(" after")[0] for line in ends] == ["temperature T1", "temperature T2"]
+    ends = [
+        line for line in forecast_words(made_forecast, settings) if "after 10 s" in line
+    ]
+    assert [line.split(" after")[0] for line in ends] == [
+        "temperature T1",
+        "temperature T2",
+    ]
     first, second = comparison_words(compared, TCLabBoth)
     assert "100 % of the temperature T1" in first
     assert "0 % of the temperature T2" in second
@@ -343,13 +473,20 @@ def test_each_set_point_ahead_has_its_answer() -> None:
     # Within 1 °C by the mean at 59 °C, by the band's edges 0.5 °C before and after.
     arrival = "first after 9 s (9 to 10), but it does not stay there"
     assert f"within 1 °C of 60 °C (set-point from 1 to 15 s): {arrival}" in answer
-    assert "within 1 °C of 90 °C (set-point from 16 to 20 s): not in that time" in answer
-    assert "temperature after 20 s: 70.0 °C, within 69.5 to 70.5 °C in 90 % of such cases" in answer
+    assert (
+        "within 1 °C of 90 °C (set-point from 16 to 20 s): not in that time" in answer
+    )
+    assert (
+        "temperature after 20 s: 70.0 °C, within 69.5 to 70.5 °C in 90 % of such cases"
+        in answer
+    )
     assert "width of the band: 1.0 °C and 20 PWM at 10 s" in answer
     assert "largest control: 200 PWM after 1 s (190 to 210)" in answer
 
 
-def test_what_is_there_already_is_not_reached_and_of_a_ramp_only_the_end_is_reported() -> None:
+def test_what_is_there_already_is_not_reached_and_of_a_ramp_only_the_end_is_reported() -> (
+    None
+):
     assert "within 1 °C of 60 °C: all the time" in words([60.0] * 12, [60.0] * 12)
     answer = words(np.linspace(50, 70, 20).tolist(), np.linspace(50, 70, 20).tolist())
     assert answer.count("within 1 °C of") == 1
@@ -360,6 +497,15 @@ def test_the_picture_has_three_panels_for_each_and_explains_every_line_once() ->
     figure = draw_forecasts([around(reference=[60.0] * 40)] * 4, Peltier)
     assert len(figure.axes) == 12
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    lines = ("set-point", "90 % band", "measured before", "measured afterwards", "forecast")
+    lines = (
+        "set-point",
+        "90 % band",
+        "measured before",
+        "measured afterwards",
+        "forecast",
+    )
     assert sorted(legend) == sorted(lines)
-    assert draw_forecasts([], Peltier).axes[0].texts[0].get_text() == "no forecast was made"
+    assert (
+        draw_forecasts([], Peltier).axes[0].texts[0].get_text()
+        == "no forecast was made"
+    )

@@ -35,7 +35,9 @@ def test_the_summary_names_every_output(two: Judgement) -> None:
     assert f"{T1} fit {100 * first:.1f} %, {T2} fit {100 * second:.1f} %" in summed_up
     assert f"°C of {T1}" in summed_up
     assert summed_up.endswith(f"Faults: sensor-drift of {T2} since 1500 s.")
-    written = json.loads(json.dumps(document(two.name, two.verdicts, two.summary, two.matches)))
+    written = json.loads(
+        json.dumps(document(two.name, two.verdicts, two.summary, two.matches))
+    )
     assert written["summary"]["fit"] == {"y": [first, second], "u": [None, None]}
     assert [score["signal"] for score in written["verdicts"][-1]["signals"]] == [
         "temperature",
@@ -62,7 +64,9 @@ def test_a_terminal_has_a_row_for_each_signal(two: Judgement) -> None:
 
 def test_lines_name_the_signal_of_a_fault(two: Judgement) -> None:
     assert f"sensor-drift of {T2}: " in line_text(two.verdicts[-1])
-    assert "sensor-drift" not in line_text(next(v for v in reversed(two.verdicts) if not v.fault))
+    assert "sensor-drift" not in line_text(
+        next(v for v in reversed(two.verdicts) if not v.fault)
+    )
 
 
 @pytest.mark.parametrize(
@@ -70,10 +74,16 @@ def test_lines_name_the_signal_of_a_fault(two: Judgement) -> None:
     [(500, "good for 10 min"), (1000, "good for 1.7 min"), (1100, "no longer good")],
 )
 def test_an_estimate_says_for_how_long_yet_it_is_good(sample: int, words: str) -> None:
-    estimate = EstimatedReading(sample, "second", 41.27, 0.94, 46.3, since=500, wide=1.2, good=600.0)
-    expected = f"the twin reads through {T2}: 41.3 ± 0.9 °C instead of 46.3, to ± 1.2 {words}"
+    estimate = EstimatedReading(
+        sample, "second", 41.27, 0.94, 46.3, since=500, wide=1.2, good=600.0
+    )
+    expected = (
+        f"the twin reads through {T2}: 41.3 ± 0.9 °C instead of 46.3, to ± 1.2 {words}"
+    )
     assert estimate_words(estimate, QUANTITY, 1.0) == expected
-    assert estimate_words(replace(estimate, good=4200.0, sample=500), QUANTITY, 1.0).endswith("an hour")
+    assert estimate_words(
+        replace(estimate, good=4200.0, sample=500), QUANTITY, 1.0
+    ).endswith("an hour")
 
 
 def test_four_signals_are_side_by_side_and_more_below() -> None:
@@ -100,7 +110,10 @@ def test_replay_shows_it_alone_and_in_a_table(
     arguments = [str(short), "--config", str(driven)]
     wanted = tmp_path / "one.json"
     figure = tmp_path / "one.png"
-    assert main(["replay", *arguments, "--json", str(wanted), "--figure", str(figure)]) == 0
+    assert (
+        main(["replay", *arguments, "--json", str(wanted), "--figure", str(figure)])
+        == 0
+    )
     assert f"; {T1} fit " in capsys.readouterr().out
     assert figure.read_bytes().startswith(b"\x89PNG")
     single_document = json.loads(wanted.read_text())
@@ -110,7 +123,9 @@ def test_replay_shows_it_alone_and_in_a_table(
     table_document = json.loads(many.read_text())
     assert table_document["sessions"][0]["summary"] == single_document["summary"]
     rows = table_document["candidates"]
-    assert [row["name"] for row in rows] == [c["name"] for c in single_document["verdicts"][-1]["candidates"]]
+    assert [row["name"] for row in rows] == [
+        c["name"] for c in single_document["verdicts"][-1]["candidates"]
+    ]
     assert all(len(row["fit"]["y"]) == 2 and row["criteria"] is None for row in rows)
     assert f"fit {T1}" in " ".join(table.split())
     assert "gain" not in table

@@ -29,10 +29,19 @@ def judged() -> Judgement:
     return judge_samples("drive_lost", drive_lost(LOST), TwinSettings())
 
 
-def shown(judged: Judgement, width: int, height: int = 60, *, until: int = 720, **options: object) -> str:
+def shown(
+    judged: Judgement,
+    width: int,
+    height: int = 60,
+    *,
+    until: int = 720,
+    **options: object,
+) -> str:
     """Everything that was written to a terminal of this size while the run continued and ended."""
     stream = io.StringIO()
-    console = Console(file=stream, force_terminal=True, width=width, height=height, **options)  # type: ignore[arg-type]
+    console = Console(
+        file=stream, force_terminal=True, width=width, height=height, **options
+    )  # type: ignore[arg-type]
     screen = Screen(console, judged.name, 1.0, len(judged.samples))
     screen.open()
     tell(screen, judged, until)
@@ -67,7 +76,9 @@ def table_of(screen: Sequence[str]) -> dict[str, list[str]]:
     return table
 
 
-def test_a_wide_terminal_shows_every_figure_of_every_candidate(judged: Judgement) -> None:
+def test_a_wide_terminal_shows_every_figure_of_every_candidate(
+    judged: Judgement,
+) -> None:
     screen = last_screen(shown(judged, 160, until=LOST - 1))
     verdict = next(v for v in reversed(judged.verdicts) if v.sample < LOST)
     table = table_of(screen)
@@ -117,7 +128,9 @@ def test_level_progress_fault_and_events_are_reported(judged: Judgement) -> None
 
 
 @pytest.mark.parametrize("width", [30, 60, 80, 100])
-def test_no_line_is_wider_than_the_terminal_and_no_number_is_cut(judged: Judgement, width: int) -> None:
+def test_no_line_is_wider_than_the_terminal_and_no_number_is_cut(
+    judged: Judgement, width: int
+) -> None:
     screen = last_screen(shown(judged, width))
     assert max(len(line.rstrip()) for line in screen) <= width
     wide = table_of(last_screen(shown(judged, 200)))
@@ -128,7 +141,9 @@ def test_no_line_is_wider_than_the_terminal_and_no_number_is_cut(judged: Judgeme
         assert score.chosen_order in narrow[score.name]
 
 
-def test_a_low_terminal_is_never_overfilled_while_the_run_continues(judged: Judgement) -> None:
+def test_a_low_terminal_is_never_overfilled_while_the_run_continues(
+    judged: Judgement,
+) -> None:
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=True, width=80, height=24)
     screen = Screen(console, judged.name, 1.0, None)
@@ -140,7 +155,9 @@ def test_a_low_terminal_is_never_overfilled_while_the_run_continues(judged: Judg
 
 def test_what_was_drawn_can_be_wiped_away(judged: Judgement) -> None:
     stream = io.StringIO()
-    screen = Screen(Console(file=stream, force_terminal=True, width=80, height=24), "run", 1.0, None)
+    screen = Screen(
+        Console(file=stream, force_terminal=True, width=80, height=24), "run", 1.0, None
+    )
     screen.open()
     tell(screen, judged, 300)
     screen.close(wipe=True)
@@ -149,7 +166,9 @@ def test_what_was_drawn_can_be_wiped_away(judged: Judgement) -> None:
 
 def test_a_line_of_somebody_else_stands_above_the_view(judged: Judgement) -> None:
     stream = io.StringIO()
-    screen = Screen(Console(file=stream, force_terminal=True, width=80, height=40), "run", 1.0, None)
+    screen = Screen(
+        Console(file=stream, force_terminal=True, width=80, height=40), "run", 1.0, None
+    )
     screen.open()
     tell(screen, judged, 300)
     screen.say("[twin] word", "red")
@@ -161,4 +180,6 @@ def test_a_line_of_somebody_else_stands_above_the_view(judged: Judgement) -> Non
 
 def test_only_a_terminal_gets_the_view() -> None:
     assert isinstance(view_on(Console(file=io.StringIO()), "run"), Lines)
-    assert isinstance(view_on(Console(file=io.StringIO(), force_terminal=True), "run"), Lines)
+    assert isinstance(
+        view_on(Console(file=io.StringIO(), force_terminal=True), "run"), Lines
+    )

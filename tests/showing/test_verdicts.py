@@ -18,7 +18,14 @@ from tests.support.verdicts import CANDIDATE, LED, NONE_YET, verdict
 from twinmatch.comparing import ADMITTED, REFUSED, TrustLevel, TrustStatement, Verdict
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Match, Status
-from twinmatch.offline.summary import LevelStretch, SessionSummary, Tally, TrustRange, summarise, trust_range
+from twinmatch.offline.summary import (
+    LevelStretch,
+    SessionSummary,
+    Tally,
+    TrustRange,
+    summarise,
+    trust_range,
+)
 from twinmatch.plants import Peltier
 from twinmatch.showing.console import Console
 from twinmatch.showing.figures.session import draw_verdict
@@ -65,7 +72,9 @@ def test_every_figure_stands_below_its_name_and_the_reason_below_them() -> None:
         "leader": "sink with mass",
     }
     assert reason == f"        {LED.reason}"
-    longest = line_text(replace(LED, leader="sink with mass, free ambient")).splitlines()[0]
+    longest = line_text(
+        replace(LED, leader="sink with mass, free ambient")
+    ).splitlines()[0]
     assert len(header_text()) <= len(longest) <= 120
 
 
@@ -79,7 +88,11 @@ def test_what_is_not_known_is_a_dash() -> None:
 
 
 def test_a_fault_is_reported_by_name_and_a_reason_stays_one_line() -> None:
-    text = line_text(replace(LED, fault="drive-lost", decided=False, reason="the plate\ndoes not obey"))
+    text = line_text(
+        replace(
+            LED, fault="drive-lost", decided=False, reason="the plate\ndoes not obey"
+        )
+    )
     assert text.endswith("drive-lost: the plate does not obey")
     assert cells(text)[2] == "no"
     assert text.count("\n") == 1
@@ -97,7 +110,9 @@ def test_a_nominal_structure_has_no_order_and_no_gain() -> None:
     assert re.search(r"yes +– +– +0\.250 .* sink with mass  sink with mass", line)
 
 
-def test_only_news_are_reported_and_without_wrapping_or_colours(capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_news_are_reported_and_without_wrapping_or_colours(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     stream = io.StringIO()
     story = [NONE_YET, NONE_YET, LED, replace(LED, stands=True, sample=360)]
     for view in (Lines(), Lines(1.0, Console(file=stream, width=40))):
@@ -105,13 +120,17 @@ def test_only_news_are_reported_and_without_wrapping_or_colours(capsys: pytest.C
         for news in story:
             view.take_verdict(news)
             view.advance(news.sample)
-        view.say("[twin] a [bold]word[/] of somebody else's that is longer than forty characters")
+        view.say(
+            "[twin] a [bold]word[/] of somebody else's that is longer than forty characters"
+        )
         view.close()
     printed = capsys.readouterr().out
     header = printed.splitlines()[0]
     line = printed.splitlines()[3]
     assert header.index("level") == line.index("trusted")
-    first = [line.split()[0] for line in printed.splitlines() if not line.startswith(" ")]
+    first = [
+        line.split()[0] for line in printed.splitlines() if not line.startswith(" ")
+    ]
     assert first == ["t", "300", "300", "[twin]"]
     assert "\x1b" not in printed
     assert [line.rstrip() for line in stream.getvalue().splitlines()] == [
@@ -125,12 +144,41 @@ def test_news_are_what_was_identified_refused_or_changed() -> None:
     cool = replace(STANDS, fault="", decided=False)
     trusted = replace(cool, nominal="70 °C", level=TRUSTED)
     for story, new in (
-        ([NONE_YET, NONE_YET, verdict(TRUSTED, stands=False), verdict(TRUSTED)], [0, 2]),
-        ([verdict(TRUSTED, stands=False), verdict(TRUSTED, stands=False), verdict(FAULT)], [0, 1, 2]),
+        (
+            [NONE_YET, NONE_YET, verdict(TRUSTED, stands=False), verdict(TRUSTED)],
+            [0, 2],
+        ),
+        (
+            [
+                verdict(TRUSTED, stands=False),
+                verdict(TRUSTED, stands=False),
+                verdict(FAULT),
+            ],
+            [0, 1, 2],
+        ),
         ([verdict(FAULT), verdict(FAULT)], [0]),
-        ([STANDS, STANDS, lost, lost, replace(lost, decided=False), cool], [0, 2, 4, 5]),
-        ([cool, replace(cool, nominal="70 °C"), trusted, replace(trusted, stands=False)], [0, 1, 2, 3]),
-        ([STANDS, STANDS, replace(STANDS, match=REFUSED, reason="match refused"), STANDS], [0, 2]),
+        (
+            [STANDS, STANDS, lost, lost, replace(lost, decided=False), cool],
+            [0, 2, 4, 5],
+        ),
+        (
+            [
+                cool,
+                replace(cool, nominal="70 °C"),
+                trusted,
+                replace(trusted, stands=False),
+            ],
+            [0, 1, 2, 3],
+        ),
+        (
+            [
+                STANDS,
+                STANDS,
+                replace(STANDS, match=REFUSED, reason="match refused"),
+                STANDS,
+            ],
+            [0, 2],
+        ),
     ):
         verdicts = [replace(v, sample=place) for place, v in enumerate(story)]
         so_far = News()
@@ -139,8 +187,12 @@ def test_news_are_what_was_identified_refused_or_changed() -> None:
 
 
 def test_the_summary_tells_the_last_refusal() -> None:
-    refused = [replace(STANDS, match=REFUSED, reason=f"match refused: {k}") for k in range(2)]
-    tally = Tally([*refused, replace(STANDS, match=ADMITTED, reason="admitted"), STANDS])
+    refused = [
+        replace(STANDS, match=REFUSED, reason=f"match refused: {k}") for k in range(2)
+    ]
+    tally = Tally(
+        [*refused, replace(STANDS, match=ADMITTED, reason="admitted"), STANDS]
+    )
     assert tally.refusal == "match refused: 1"
     assert Tally([STANDS]).refusal == ""
 
@@ -182,12 +234,22 @@ def test_events_come_in_order_with_their_kind_and_reason() -> None:
         (260, EventKind.FAULT),
         (300, EventKind.DISMISSED),
     ]
-    assert (reported[0].title, reported[0].why) == ("match admitted", "matched on these samples")
+    assert (reported[0].title, reported[0].why) == (
+        "match admitted",
+        "matched on these samples",
+    )
     assert (reported[3].title, reported[3].why) == ("match refused", "on its bound")
     assert reported[7].title == "50 °C dismissed"
-    assert "output 3.0 and control 0.5 half band widths from the forecast" in reported[5].why
+    assert (
+        "output 3.0 and control 0.5 half band widths from the forecast"
+        in reported[5].why
+    )
     assert reported[6] == Event(
-        260, EventKind.FAULT, "fault: drive-lost", "why it is so (since sample 255)", Mark.BAD
+        260,
+        EventKind.FAULT,
+        "fault: drive-lost",
+        "why it is so (since sample 255)",
+        Mark.BAD,
     )
 
 
@@ -214,9 +276,14 @@ def report(sample: int, status: Status) -> MatchReport:
 
 def test_the_fate_of_a_match_is_the_verdicts_word() -> None:
     """Whatever the gate said: the discriminator may refuse what the gate accepted."""
-    refusing = verdict(TRUSTED, 200, match=REFUSED, reason="no models identified for candidate 50 °C")
+    refusing = verdict(
+        TRUSTED, 200, match=REFUSED, reason="no models identified for candidate 50 °C"
+    )
     assert match_word(report(200, Status.ACCEPTED), [refusing]) == "refused"
-    assert match_word(report(200, Status.BOUNDS_HIT), [refusing]) == "refused: a parameter reached its bound"
+    assert (
+        match_word(report(200, Status.BOUNDS_HIT), [refusing])
+        == "refused: a parameter reached its bound"
+    )
     assert match_word(report(200, Status.ACCEPTED), []) == ""
     joined = replace(refusing, match=ADMITTED)
     assert match_word(report(200, Status.ACCEPTED), [joined]) == "admitted"
@@ -234,7 +301,12 @@ DRIVE = {"fault": "drive-lost"}
         ([], []),
         # A level is that of the samples since the verdict before.
         (
-            [verdict(UNKNOWN, 59), verdict(TRUSTED, 119), verdict(TRUSTED, 179), verdict(FAULT, 239)],
+            [
+                verdict(UNKNOWN, 59),
+                verdict(TRUSTED, 119),
+                verdict(TRUSTED, 179),
+                verdict(FAULT, 239),
+            ],
             [(10, 59, UNKNOWN), (60, 179, TRUSTED), (180, 239, FAULT)],
         ),
         # The level of a fault lasts from the verdict that names it to the one without it.
@@ -247,7 +319,10 @@ DRIVE = {"fault": "drive-lost"}
             [(10, 424, TRUSTED), (425, 448, DOUBTFUL), (449, 509, TRUSTED)],
         ),
         (
-            [verdict(TRUSTED, 119), *(verdict(FAULT, k, fault_since=k - 5, **DRIVE) for k in (145, 179))],
+            [
+                verdict(TRUSTED, 119),
+                *(verdict(FAULT, k, fault_since=k - 5, **DRIVE) for k in (145, 179)),
+            ],
             [(10, 144, TRUSTED), (145, 179, FAULT)],
         ),
     ],
@@ -308,7 +383,9 @@ OVER = {"stretches": (LOST, LevelStretch(401, 500, TRUSTED))}
         (
             {
                 "trust": TRUST._replace(
-                    level=DOUBTFUL, reason="no match explains the newest window", doubts=ARX
+                    level=DOUBTFUL,
+                    reason="no match explains the newest window",
+                    doubts=ARX,
                 )
             },
             "Leader: match at 50 °C; doubtful now: no match explains the newest window "
@@ -332,7 +409,10 @@ OVER = {"stretches": (LOST, LevelStretch(401, 500, TRUSTED))}
             f"Leader: match at 50 °C; trust it {HELD}; left without readings it drifts off "
             "(temperature fit −100.3 %).",
         ),
-        ({"range": None}, f"Leader: match at 50 °C; how far to trust it is not known yet; {FIT}."),
+        (
+            {"range": None},
+            f"Leader: match at 50 °C; how far to trust it is not known yet; {FIT}.",
+        ),
         (
             {"trust": TRUST._replace(horizons=())},
             f"Leader: match at 50 °C; how far to trust it is not known yet; {FIT}.",
@@ -373,7 +453,9 @@ def test_the_end_is_notes_structure_the_sentence_and_below_it_the_family() -> No
     summary = replace(SUMMARY, nominal="50 °C", notes=("cut short",))
     lines = closing_lines(summary, LED)
     assert lines[0] == "Note: cut short"
-    assert lines[1].startswith("Structure: the samples justify sink with mass (α 63.0 mV/K, R 3.30 Ω, ")
+    assert lines[1].startswith(
+        "Structure: the samples justify sink with mass (α 63.0 mV/K, R 3.30 Ω, "
+    )
     assert lines[1].endswith(", L 5.00 A).")
     assert lines[2:] == [
         sentence(summary),
@@ -382,8 +464,13 @@ def test_the_end_is_notes_structure_the_sentence_and_below_it_the_family() -> No
     ]
     assert closing_lines(summary, None) == [lines[0], *lines[2:4]]
     of_structure = replace(summary, nominal="sink with mass", order="")
-    assert closing_lines(of_structure, None)[-1] == "Nominal, the centre of the family: sink with mass."
-    assert closing_lines(replace(summary, nominal=None, order=None), None)[-1] == sentence(summary)
+    assert (
+        closing_lines(of_structure, None)[-1]
+        == "Nominal, the centre of the family: sink with mass."
+    )
+    assert closing_lines(replace(summary, nominal=None, order=None), None)[
+        -1
+    ] == sentence(summary)
 
 
 def test_the_sentence_names_the_newest_faults() -> None:
@@ -401,11 +488,16 @@ def test_the_sentence_names_the_newest_faults() -> None:
         LevelStretch(500, 500, DOUBTFUL, "room-changed", 470),
     ]
     often = sentence(replace(SUMMARY, stretches=stretches * 4))
-    assert " Faults: 3 before; room-changed from 470 to 500 s; drive-lost from 310 to 399 s; " in often
+    assert (
+        " Faults: 3 before; room-changed from 470 to 500 s; drive-lost from 310 to 399 s; "
+        in often
+    )
     assert often.endswith("; room-changed since 470 s.")
 
 
-def test_a_level_is_drawn_from_where_it_was_stated_not_from_where_the_fault_began() -> None:
+def test_a_level_is_drawn_from_where_it_was_stated_not_from_where_the_fault_began() -> (
+    None
+):
     lies = {"fault": "sensor-drift", "fault_since": 546}
     verdicts = [
         verdict(TrustLevel.TRUSTED, 900),
@@ -413,25 +505,37 @@ def test_a_level_is_drawn_from_where_it_was_stated_not_from_where_the_fault_bega
         verdict(TrustLevel.DOUBTFUL, 1100, **lies),
     ]
     trusted, doubtful = Tally(verdicts, 0).stretches
-    assert (trusted.times(1.0), doubtful.times(1.0)) == ("0 to 1021 s", "1022 to 1100 s")
+    assert (trusted.times(1.0), doubtful.times(1.0)) == (
+        "0 to 1021 s",
+        "1022 to 1100 s",
+    )
     assert doubtful.fault_times(1.0) == "546 to 1100 s"
     at_once = Tally(verdicts[1:], 0).stretches
     assert [(s.level, s.first) for s in at_once] == [(UNKNOWN, 0), (DOUBTFUL, 1022)]
 
 
 def test_without_a_leader_there_is_nothing_to_doubt() -> None:
-    behind = replace(LED.forecasts[0], persistence_skill=(-0.5,), persistence_skill_high=(-0.4,))
+    behind = replace(
+        LED.forecasts[0], persistence_skill=(-0.5,), persistence_skill_high=(-0.4,)
+    )
     doubtful = replace(LED, horizons=(10.0,), forecasts=(behind,))
-    assert doubtful.doubts.endswith("than saying that nothing changes, with 1.50 times the error")
+    assert doubtful.doubts.endswith(
+        "than saying that nothing changes, with 1.50 times the error"
+    )
     assert replace(doubtful, leader=None).doubts == ""
 
 
-def test_where_forecasts_held_is_rounded_to_the_inside_and_to_the_plants_places() -> None:
+def test_where_forecasts_held_is_rounded_to_the_inside_and_to_the_plants_places() -> (
+    None
+):
     held_range = trust_range([(22.3, 89.7)], "°C", 1)
     assert held_range == TrustRange(((22.3, 89.7),), "°C")
     assert str(held_range) == "between 23 and 89 °C"
     # Readings of the tank have a noise of 0.005 l/s; in whole litres there would be no range at all.
-    assert str(trust_range([(0.612, 0.977)], "l/s", Tank.output.decimals)) == "between 0.62 and 0.97 l/s"
+    assert (
+        str(trust_range([(0.612, 0.977)], "l/s", Tank.output.decimals))
+        == "between 0.62 and 0.97 l/s"
+    )
     # nothing is left to round away
     assert str(TrustRange(((0.302, 0.309),), "l/s", 2)) == "between 0.30 and 0.31 l/s"
     assert trust_range([], "°C", 1) is None
@@ -439,12 +543,26 @@ def test_where_forecasts_held_is_rounded_to_the_inside_and_to_the_plants_places(
 
 def test_all_levels_at_which_forecasts_held_are_named_or_the_widest() -> None:
     """A verdict knows the range around the newest reading: being at 30 °C takes nothing away from 90."""
-    ranges = [(81.5, 85.0), (80.5, 92.7), (math.nan, math.nan), (24.3, 30.0), (24.3, 33.0)]
+    ranges = [
+        (81.5, 85.0),
+        (80.5, 92.7),
+        (math.nan, math.nan),
+        (24.3, 30.0),
+        (24.3, 33.0),
+    ]
     tally = Tally(replace(LED, held_low=low, held_high=high) for low, high in ranges)
     assert tally.held == [(24.3, 33.0), (80.5, 92.7)]
-    assert str(trust_range(tally.held, "°C", 1)) == "between 25 and 33 °C and between 81 and 92 °C"
-    many = TrustRange(((10.0, 10.5), (20.0, 23.0), (30.0, 31.0), (40.0, 46.0), (50.0, 55.0)), "°C")
-    assert str(many) == "between 20 and 23 °C, between 40 and 46 °C and between 50 and 55 °C"
+    assert (
+        str(trust_range(tally.held, "°C", 1))
+        == "between 25 and 33 °C and between 81 and 92 °C"
+    )
+    many = TrustRange(
+        ((10.0, 10.5), (20.0, 23.0), (30.0, 31.0), (40.0, 46.0), (50.0, 55.0)), "°C"
+    )
+    assert (
+        str(many)
+        == "between 20 and 23 °C, between 40 and 46 °C and between 50 and 55 °C"
+    )
 
 
 MATCHED = [verdict(TrustLevel.TRUSTED, stands=False)]
@@ -452,14 +570,22 @@ GAINS = TwinSettings().law
 
 
 def samples(count: int = 400) -> list[Sample]:
-    return [Sample(k, k * 10**9, 50.0 + (k > 200) * 10, 50.0 + 0.01 * k, 90.0 + k % 3) for k in range(count)]
+    return [
+        Sample(k, k * 10**9, 50.0 + (k > 200) * 10, 50.0 + 0.01 * k, 90.0 + k % 3)
+        for k in range(count)
+    ]
 
 
 def test_the_document_is_strict_json() -> None:
     verdicts = [NONE_YET, *MATCHED]
-    entry = document("s", verdicts, summarise(stretches(samples(), 1.0), verdicts, GAINS))
+    entry = document(
+        "s", verdicts, summarise(stretches(samples(), 1.0), verdicts, GAINS)
+    )
     back = json.loads(json.dumps(entry, allow_nan=False))
-    assert (back["verdicts"][0]["driven_rms_y"], back["verdicts"][0]["closed_rms_u"]) == (None, None)
+    assert (
+        back["verdicts"][0]["driven_rms_y"],
+        back["verdicts"][0]["closed_rms_u"],
+    ) == (None, None)
     assert back["verdicts"][1]["candidates"][0]["parameters"]["seebeck"] == 0.06
     assert back["verdicts"][1]["candidates"][0]["orders"][0]["total"]["gain"] == 1200
 

@@ -49,15 +49,25 @@ class Cascade(Plant, name="cascade"):
 
     title = "two tanks"
     typical = {"pump": 0.04, "upper_hole": 0.08, "lower_hole": 0.08}  # noqa: RUF012
-    level = Output(unit="V", noise=0.03, span=(-0.5, 10.5), set_points=(1.5, 7.0), text="lower level")
+    level = Output(
+        unit="V",
+        noise=0.03,
+        span=(-0.5, 10.5),
+        set_points=(1.5, 7.0),
+        text="lower level",
+    )
     pumping = Drive(unit="V", limits=(0.0, 10.0), noise=0.1, text="pump")
     upper = State(unit="V", span=(0.0, 12.0), start_bounds=(0.0, 12.0))
     lower = State(unit="V", span=(0.0, 12.0))
     pump = Parameter(unit="1/s", default=0.05, bounds=(0.002, 0.5), positive=True)
     upper_hole = Parameter(unit="√V/s", default=0.1, bounds=(0.005, 1.0), positive=True)
-    lower_hole = Parameter(unit="√V/s", default=0.1, bounds=(0.005, 1.0), positive=True, role="losses")
+    lower_hole = Parameter(
+        unit="√V/s", default=0.1, bounds=(0.005, 1.0), positive=True, role="losses"
+    )
     structures = {  # noqa: RUF012
-        "two tanks": Structure(free=("pump", "upper_hole", "lower_hole"), free_starts=("upper",))
+        "two tanks": Structure(
+            free=("pump", "upper_hole", "lower_hole"), free_starts=("upper",)
+        )
     }
     loop = PidGains(1.2, 0.012, 0.0, 0.1, 0.0, 10.0, period=4.0)
 
@@ -66,7 +76,10 @@ class Cascade(Plant, name="cascade"):
         from_upper = self.upper_hole * self.upper / (self.upper + 0.1) ** 0.5
         from_lower = self.lower_hole * self.lower / (self.lower + 0.1) ** 0.5
         return Equations(
-            rates={self.upper: self.pump * self.pumping - from_upper, self.lower: from_upper - from_lower},
+            rates={
+                self.upper: self.pump * self.pumping - from_upper,
+                self.lower: from_upper - from_lower,
+            },
             output=self.lower,
             start={self.lower: self.level, self.upper: self.level},
         )
@@ -102,8 +115,12 @@ def _rig(p: Mapping[str, float], x: Rates, u: float, around: Around) -> Rates:
 def _kit(p: Mapping[str, float], x: Rates, u: float, around: Around) -> Rates:
     heater, sensor = x
     room = around.room + KELVIN
-    lost = around.losses * p["losses"] * 1e-3 * (heater - room) + 5.1e-11 * (heater**4 - room**4)
-    return (p["heating"] * u + around.load - lost) / p["capacity"], (heater - sensor) / p["lag"]
+    lost = around.losses * p["losses"] * 1e-3 * (heater - room) + 5.1e-11 * (
+        heater**4 - room**4
+    )
+    return (p["heating"] * u + around.load - lost) / p["capacity"], (
+        heater - sensor
+    ) / p["lag"]
 
 
 def _incubator(p: Mapping[str, float], x: Rates, u: float, around: Around) -> Rates:
@@ -131,11 +148,13 @@ def _tanks(p: Mapping[str, float], x: Rates, u: float, around: Around) -> Rates:
     lower = max(x[1], 0.0)
     from_upper = p["upper_hole"] * math.sqrt(upper)
     from_lower = p["lower_hole"] * math.sqrt(lower)
-    spilt = max(upper - p["rim"], 0.0)  # what is above the rim leaves within a second; half of it falls below
+    # what is above the rim leaves within a second; half of it falls below
+    spilt = max(upper - p["rim"], 0.0)
     away = max(lower - p["rim"], 0.0)
-    return p[
-        "pump"
-    ] * u - from_upper - spilt, from_upper + 0.5 * spilt - around.losses * from_lower - away + around.load
+    return (
+        p["pump"] * u - from_upper - spilt,
+        from_upper + 0.5 * spilt - around.losses * from_lower - away + around.load,
+    )
 
 
 @dataclass(frozen=True)
@@ -238,7 +257,8 @@ KINDS: Final[dict[str, AbroadKind]] = {
     ),
 }  # fmt: skip
 
-KINDS["slow kit"] = replace(  # rows every 5 s that hold the input too early, and a controller that hurries
+# rows every 5 s that hold the input too early, and a controller that hurries
+KINDS["slow kit"] = replace(
     KINDS["kit"], period=5.0, gains=PidGains(30.0, 0.2, 0.0, 0.2, 0.0, 100.0, period=5.0),
     known=False, always=("dead time",), dead=(5.0, 12.0), noise=0.3, levels=(35.0, 65.0),
 )  # fmt: skip
@@ -276,7 +296,10 @@ class Mishap:
     def on(self, k: int) -> bool:
         if self.kind == "drive*0 twice":
             third = (self.stop - self.start) // 3
-            return self.start <= k < self.start + third or self.stop - third <= k < self.stop
+            return (
+                self.start <= k < self.start + third
+                or self.stop - third <= k < self.stop
+            )
         if self.kind == "spike":
             return k == self.start
         return self.start <= k < self.stop
@@ -284,7 +307,9 @@ class Mishap:
     @property
     def number(self) -> float:
         """The number in its name: units or share."""
-        return float(self.kind.split()[0].lstrip("abcdefghijklmnopqrstuvwxyz+~*") or 0.0)
+        return float(
+            self.kind.split()[0].lstrip("abcdefghijklmnopqrstuvwxyz+~*") or 0.0
+        )
 
 
 NOTHING: Final = Mishap("nothing", 0, 0)
@@ -307,13 +332,19 @@ class AbroadPlant:
     parameters: dict[str, float] = field(init=False)
 
     def __post_init__(self) -> None:
-        self._draw = draw = np.random.default_rng([self.seed, crc32(self.kind.plant.name.encode())])
-        self.parameters = {n: v * float(draw.uniform(0.72, 1.28)) for n, v in self.kind.typical.items()}
+        self._draw = draw = np.random.default_rng(
+            [self.seed, crc32(self.kind.plant.name.encode())]
+        )
+        self.parameters = {
+            n: v * float(draw.uniform(0.72, 1.28)) for n, v in self.kind.typical.items()
+        }
         for fixed in {"supply", "rim"} & set(self.parameters):
             self.parameters[fixed] = self.kind.typical[fixed]
         drawn_closed = bool(draw.random() < 0.65)
         self.closed = drawn_closed if self.closed is None else self.closed
-        possible = [lack for lack in LACKS if lack != "dead band" or self.kind.dead_band]
+        possible = [
+            lack for lack in LACKS if lack != "dead band" or self.kind.dead_band
+        ]
         drawn = draw.choice(possible, size=int(draw.integers(1, 3)), replace=False)
         if self.lacks is None:
             self.lacks = tuple(dict.fromkeys([*self.kind.always, *drawn.tolist()]))
@@ -326,8 +357,11 @@ class AbroadPlant:
             "drift": float(draw.uniform(1.0, 3.0)),
             "dead band": self.kind.dead_band * float(draw.uniform(0.6, 1.6)),
             "display": self.kind.kelvin * float(draw.choice([0.1, 0.2, 0.5])),
-            "load": self.kind.load * float(draw.uniform(0.7, 1.5)) * float(draw.choice([-1.0, 1.0])),
-            "scale": 1.0 + float(draw.uniform(0.2, 0.4)) * float(draw.choice([-1.0, 1.0])),
+            "load": self.kind.load
+            * float(draw.uniform(0.7, 1.5))
+            * float(draw.choice([-1.0, 1.0])),
+            "scale": 1.0
+            + float(draw.uniform(0.2, 0.4)) * float(draw.choice([-1.0, 1.0])),
             "noise": float(draw.uniform(2.0, 3.0)),
         }
         self._room = float(draw.uniform(18.0, 25.0))
@@ -339,7 +373,9 @@ class AbroadPlant:
         self._acting = self.kind.rest  # the input behind a lag
         self._seen = self.output  # the output behind a lag
         self._held = self.kind.rest  # the input that a dead band lets through
-        self._pipe = deque([self.kind.rest] * round(self.has("dead time") / self.kind.step))
+        self._pipe = deque(
+            [self.kind.rest] * round(self.has("dead time") / self.kind.step)
+        )
         self._until = 0  # sample to which the level holds
         self._chosen = math.nan
 
@@ -395,10 +431,18 @@ class AbroadPlant:
                 heating = reading < level + (1.0 if heating else -1.0) * kind.kelvin
                 u = float(heating and k % 8 < 3)
             commands.append(u)
-            recorded = commands[0] if mishap.kind == "input late" and mishap.on(k) else u
+            recorded = (
+                commands[0] if mishap.kind == "input late" and mishap.on(k) else u
+            )
             reference = level if self.gains is not None else reading
-            disturbances = (round(self._now.room / 0.0625) * 0.0625,) if kind.plant is Incubator else ()
-            yield Sample(k, round(k * period * 1e9), reference, reading, recorded, disturbances)
+            disturbances = (
+                (round(self._now.room / 0.0625) * 0.0625,)
+                if kind.plant is Incubator
+                else ()
+            )
+            yield Sample(
+                k, round(k * period * 1e9), reference, reading, recorded, disturbances
+            )
             self._advance(k, u)
 
     def level(self, k: int) -> float:
@@ -414,7 +458,9 @@ class AbroadPlant:
     def _read(self, k: int) -> float:
         kind = self.kind
         mishap = self.mishap
-        noise = kind.noise * self.has("noise", 1.0) * float(self._draw.standard_normal())
+        noise = (
+            kind.noise * self.has("noise", 1.0) * float(self._draw.standard_normal())
+        )
         value = self._seen + noise
         if mishap.on(k):
             since = (k - mishap.start) * kind.period / kind.second
@@ -434,7 +480,9 @@ class AbroadPlant:
         on = self.mishap.on(k)
         band = self.has("dead band")
         if abs(command - self._held) > band or (band and abs(command) <= 1e-9):
-            self._held = command - math.copysign(band, command - self._held) if band else command
+            self._held = (
+                command - math.copysign(band, command - self._held) if band else command
+            )
         u = self._held * self.has("scale", 1.0)
         if on and mishap.kind.startswith("drive"):
             u *= mishap.number
@@ -444,29 +492,49 @@ class AbroadPlant:
         for _ in range(round(kind.period / kind.step)):
             self._pipe.append(u)
             arrived = self._pipe.popleft()
-            self._acting = arrived if not lag else self._acting + kind.step / lag * (arrived - self._acting)
+            self._acting = (
+                arrived
+                if not lag
+                else self._acting + kind.step / lag * (arrived - self._acting)
+            )
             self._states = self._moved(kind.step)
             output = self.output
-            self._seen = output if not behind else self._seen + kind.step / behind * (output - self._seen)
+            self._seen = (
+                output
+                if not behind
+                else self._seen + kind.step / behind * (output - self._seen)
+            )
 
     def _moved(self, step: float) -> Rates:
         """The states a step later, by the midpoint rule."""
         rates = self.kind.rates(self.parameters, self._states, self._acting, self._now)
-        half = tuple(x + 0.5 * step * d for x, d in zip(self._states, rates, strict=True))
+        half = tuple(
+            x + 0.5 * step * d for x, d in zip(self._states, rates, strict=True)
+        )
         rates = self.kind.rates(self.parameters, half, self._acting, self._now)
         return tuple(x + step * d for x, d in zip(self._states, rates, strict=True))
 
     def _around(self, k: int, mishap: Mishap) -> None:
         kind = self.kind
         time = k * self.kind.period / self.kind.second
-        self._wander += 0.015 * math.sqrt(kind.period / kind.second) * float(self._draw.standard_normal())
-        drift = self.has("drift") * math.sin(2 * math.pi * time / self._slow + self._phase) + self._wander
+        self._wander += (
+            0.015
+            * math.sqrt(kind.period / kind.second)
+            * float(self._draw.standard_normal())
+        )
+        drift = (
+            self.has("drift") * math.sin(2 * math.pi * time / self._slow + self._phase)
+            + self._wander
+        )
         drift = drift if self.has("drift") else 0.0
         load = self.has("load")
         thermal = kind.plant in (Peltier, TCLab, Incubator)
         if not thermal:  # a load that drifts
             load += 0.3 * kind.load * drift
-        if mishap.kind == "pushed" and time - mishap.start * kind.period / kind.second < _PUSHED:
+        if (
+            mishap.kind == "pushed"
+            and time - mishap.start * kind.period / kind.second < _PUSHED
+        ):
             load += kind.push
         losses = mishap.number if mishap.kind.startswith("losses") else 1.0
         self._now = Around(self._room + (drift if thermal else 0.0), load, losses)

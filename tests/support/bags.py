@@ -17,7 +17,8 @@ START = 1_700_000_000
 
 def stamp(seconds: float) -> Any:
     return STORE.types["builtin_interfaces/msg/Time"](
-        sec=START + math.floor(seconds), nanosec=round(seconds % 1 * 1e9) % 1_000_000_000
+        sec=START + math.floor(seconds),
+        nanosec=round(seconds % 1 * 1e9) % 1_000_000_000,
     )
 
 
@@ -30,7 +31,9 @@ def number(value: float) -> Any:
 
 
 def temperature(seconds: float, value: float) -> Any:
-    return STORE.types["sensor_msgs/msg/Temperature"](header=header(seconds), temperature=value, variance=0.0)
+    return STORE.types["sensor_msgs/msg/Temperature"](
+        header=header(seconds), temperature=value, variance=0.0
+    )
 
 
 def bag(
@@ -50,11 +53,19 @@ def bag(
     if compression is not CompressionMode.NONE:
         writer.set_compression(compression, CompressionFormat.ZSTD)
     with writer:
-        connections = {"/empty": writer.add_connection("/empty", "std_msgs/msg/Float64", typestore=STORE)}
+        connections = {
+            "/empty": writer.add_connection(
+                "/empty", "std_msgs/msg/Float64", typestore=STORE
+            )
+        }
         for time, name, message in sorted(messages, key=lambda entry: entry[0]):
             kind = message.__msgtype__
             if name not in connections:
                 connections[name] = writer.add_connection(name, kind, typestore=STORE)
             logged = round((START + time + 0.03 + behind) * 1e9)
-            writer.write(connections[name], logged, bytes(STORE.serialize_cdr(message, kind)) + surplus)
+            writer.write(
+                connections[name],
+                logged,
+                bytes(STORE.serialize_cdr(message, kind)) + surplus,
+            )
     return folder

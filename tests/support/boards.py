@@ -16,9 +16,24 @@ from typing import NoReturn, TypeVar
 
 import pytest
 
-from twinmatch.emulation.arduino import ArduinoError, EmulatedBoard, PinDrive, StandInArduino
-from twinmatch.emulation.arduino_virtual import VirtualArduino, VirtualTools, virtual_tools
-from twinmatch.links.pwm_protocol import BoardStatus, FrameReader, Reply, parse_reply, seal
+from twinmatch.emulation.arduino import (
+    ArduinoError,
+    EmulatedBoard,
+    PinDrive,
+    StandInArduino,
+)
+from twinmatch.emulation.arduino_virtual import (
+    VirtualArduino,
+    VirtualTools,
+    virtual_tools,
+)
+from twinmatch.links.pwm_protocol import (
+    BoardStatus,
+    FrameReader,
+    Reply,
+    parse_reply,
+    seal,
+)
 
 REAL = os.environ.get("TWINMATCH_SERIAL")
 KINDS = ["stand-in", "simavr", *(["real"] if REAL else [])]
@@ -58,7 +73,9 @@ class Paced(EmulatedBoard):
         """Let time pass `speed` times as fast as the wall clock."""
         self.pause()
         self._paused = threading.Event()
-        self._thread = threading.Thread(target=self._pace, args=(speed, self._paused), daemon=True)
+        self._thread = threading.Thread(
+            target=self._pace, args=(speed, self._paused), daemon=True
+        )
         self._thread.start()
 
     def pause(self) -> None:
@@ -130,7 +147,9 @@ class Wire:
             data = os.read(self.descriptor, 4096)
         except BlockingIOError:
             return []
-        replies = [parse_reply(e) for e in self._reader.feed(data) if isinstance(e, bytes)]
+        replies = [
+            parse_reply(e) for e in self._reader.feed(data) if isinstance(e, bytes)
+        ]
         assert None not in replies
         return [r for r in replies if r is not None]
 

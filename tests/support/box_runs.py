@@ -9,7 +9,9 @@ from twinmatch.dynamics import advance, begin, read, simulate_driven
 from twinmatch.signals import FloatArray, Sample
 
 PERIOD = 3.0
-TRUTH = Box.model().parameters(air_capacity=650.0, bed_conductance=1.2, box_conductance=0.9)
+TRUTH = Box.model().parameters(
+    air_capacity=650.0, bed_conductance=1.2, box_conductance=0.9
+)
 _LEVELS = (0.0, 0.4, 0.15, 0.6, 0.3, 0.1, 0.5, 0.2)
 
 
@@ -19,10 +21,14 @@ def step_test(size: int, seed: int) -> list[Sample]:
     room = _room(size, rng)
     noise = Box.output.noise * rng.standard_normal(size)
     heater = np.repeat(_LEVELS, -(-size // len(_LEVELS)))[:size]
-    run = simulate_driven(TRUTH, heater, states=_cold(room), period=PERIOD, disturbances=room[:, None])
+    run = simulate_driven(
+        TRUTH, heater, states=_cold(room), period=PERIOD, disturbances=room[:, None]
+    )
     return [
         Sample(k, round(k * PERIOD * 1e9), 0.0, float(y), float(u), (float(r),))
-        for k, (y, u, r) in enumerate(zip(run.output + noise, heater, room, strict=True))
+        for k, (y, u, r) in enumerate(
+            zip(run.output + noise, heater, room, strict=True)
+        )
     ]
 
 
@@ -41,7 +47,9 @@ def switched(size: int, seed: int) -> list[Sample]:
         if (on and since >= 20.0) or (not on and since >= 30.0 and y < 35.0):
             on = not on
             since = 0.0
-        samples.append(Sample(k, round(k * PERIOD * 1e9), 35.0, y, float(on), (float(room[k]),)))
+        samples.append(
+            Sample(k, round(k * PERIOD * 1e9), 35.0, y, float(on), (float(room[k]),))
+        )
         states = advance(TRUTH, states, float(on), PERIOD, row)
         since = since + PERIOD
     return samples

@@ -23,7 +23,9 @@ _BLOCK: Final = 512
 
 
 def whole_file(
-    count: int = 600, every: int = 60, compression: CompressionType = CompressionType.NONE
+    count: int = 600,
+    every: int = 60,
+    compression: CompressionType = CompressionType.NONE,
 ) -> bytes:
     """A session's file of so many samples, in chunks of `every` samples."""
     out = BytesIO()
@@ -38,10 +40,16 @@ def whole_file(
         stamp = (1_000_000 + k) * NANOSECONDS
         temperature = 25.0 + k % 7 / 8
         writer.add_message(
-            channels[TEMPERATURE_READING], stamp, encode_temperature(stamp, temperature), stamp
+            channels[TEMPERATURE_READING],
+            stamp,
+            encode_temperature(stamp, temperature),
+            stamp,
         )
         writer.add_message(
-            channels[SAMPLE], stamp, encode_sample(Sample(k, stamp, 30.0, temperature, 1.0)), stamp
+            channels[SAMPLE],
+            stamp,
+            encode_sample(Sample(k, stamp, 30.0, temperature, 1.0)),
+            stamp,
         )
         if k % every == every - 1:
             writer.flush()  # type: ignore[no-untyped-call]
@@ -102,7 +110,16 @@ def _destroy_length(rng: random.Random, data: bytearray) -> None:
     data[rng.choice(heads) + rng.randrange(9)] ^= 1 << rng.randrange(8)
 
 
-KINDS: Final = (_flip, _flip_first, _truncate, _zero, _swap, _remove, _destroy_index, _destroy_length)
+KINDS: Final = (
+    _flip,
+    _flip_first,
+    _truncate,
+    _zero,
+    _swap,
+    _remove,
+    _destroy_index,
+    _destroy_length,
+)
 
 
 def kind_of(number: int) -> str:
@@ -126,7 +143,9 @@ def samples_in(sound: bytes) -> Set[bytes]:
 def plainly_found(content: bytes, sound: Set[bytes]) -> Set[bytes]:
     """Those of the sound samples that plain readers find in their order: chunk by chunk, from the beginning
     or by the index, without checking checksums. A sample among others of another time is not counted."""
-    from_the_beginning = [data for data in _from_the_beginning(content) if data in sound]
+    from_the_beginning = [
+        data for data in _from_the_beginning(content) if data in sound
+    ]
     by_the_index = [data for data in _by_the_index(content) if data in sound]
     return max(_in_order(from_the_beginning), _in_order(by_the_index), key=len)
 
@@ -146,7 +165,11 @@ def _in_order(messages: Sequence[bytes]) -> Set[bytes]:
 
 def _from_the_beginning(content: bytes) -> Iterator[bytes]:
     try:
-        yield from _plain(StreamReader(BytesIO(content), emit_chunks=True, record_size_limit=1 << 24).records)
+        yield from _plain(
+            StreamReader(
+                BytesIO(content), emit_chunks=True, record_size_limit=1 << 24
+            ).records
+        )
     except Exception:
         return
 
@@ -163,7 +186,9 @@ def _of_chunk(chunk: Chunk, numbers: set[int]) -> Iterator[bytes]:
         records = breakup_chunk(chunk)
     except Exception:
         return
-    numbers.update(r.id for r in records if isinstance(r, Channel) and r.topic == SAMPLE.name)
+    numbers.update(
+        r.id for r in records if isinstance(r, Channel) and r.topic == SAMPLE.name
+    )
     for record in records:
         if isinstance(record, Message) and record.channel_id in numbers:
             yield record.data
@@ -171,17 +196,25 @@ def _of_chunk(chunk: Chunk, numbers: set[int]) -> Iterator[bytes]:
 
 def _by_the_index(content: bytes) -> Iterator[bytes]:
     try:
-        summary = SeekingReader(BytesIO(content), record_size_limit=1 << 24).get_summary()
+        summary = SeekingReader(
+            BytesIO(content), record_size_limit=1 << 24
+        ).get_summary()
     except Exception:
         return
     if summary is None:
         return
-    numbers = {number for number, channel in summary.channels.items() if channel.topic == SAMPLE.name}
+    numbers = {
+        number
+        for number, channel in summary.channels.items()
+        if channel.topic == SAMPLE.name
+    }
     for entry in summary.chunk_indexes:
         yield from _messages_numbered(content, entry, numbers)
 
 
-def _messages_numbered(content: bytes, entry: ChunkIndex, numbers: set[int]) -> Iterator[bytes]:
+def _messages_numbered(
+    content: bytes, entry: ChunkIndex, numbers: set[int]
+) -> Iterator[bytes]:
     from mcap.data_stream import ReadDataStream
 
     stream = BytesIO(content)
@@ -196,13 +229,21 @@ def _messages_numbered(content: bytes, entry: ChunkIndex, numbers: set[int]) -> 
 def strictly_read(content: bytes) -> bool:
     """Whether the library takes a file with all its checksums, and finds as many messages by the index."""
     try:
-        stream = StreamReader(BytesIO(content), validate_crcs=True, record_size_limit=1 << 24)
+        stream = StreamReader(
+            BytesIO(content), validate_crcs=True, record_size_limit=1 << 24
+        )
         in_stream = sum(isinstance(record, Message) for record in stream.records)
-        reader = SeekingReader(BytesIO(content), validate_crcs=True, record_size_limit=1 << 24)
+        reader = SeekingReader(
+            BytesIO(content), validate_crcs=True, record_size_limit=1 << 24
+        )
         by_index = sum(1 for _ in reader.iter_messages(log_time_order=False))
     except Exception:
         return False
-    return in_stream == by_index and content.startswith(b"\x89MCAP") and content.endswith(b"\x89MCAP0\r\n")
+    return (
+        in_stream == by_index
+        and content.startswith(b"\x89MCAP")
+        and content.endswith(b"\x89MCAP0\r\n")
+    )
 
 
 def as_session(folder: Path, content: bytes) -> Path:

@@ -25,7 +25,9 @@ KINDS: Final = ("amqtt", "mosquitto")
 def require(kind: str) -> str:
     """The kind of broker, if it is installed; otherwise the test is skipped, with the reason."""
     if kind == "amqtt":
-        pytest.importorskip("amqtt", reason="amqtt is not installed; it is in the extra 'test'")
+        pytest.importorskip(
+            "amqtt", reason="amqtt is not installed; it is in the extra 'test'"
+        )
     elif shutil.which(kind, path=_PATH) is None:
         pytest.skip("mosquitto is not installed: apt-get install mosquitto")
     return kind
@@ -44,7 +46,12 @@ class RunningBroker:
     """
 
     def __init__(
-        self, folder: Path, kind: str = "amqtt", *, users: Mapping[str, str] | None = None, tls: bool = False
+        self,
+        folder: Path,
+        kind: str = "amqtt",
+        *,
+        users: Mapping[str, str] | None = None,
+        tls: bool = False,
     ) -> None:
         """Start it, with its files in this folder, which is made, and wait until it answers."""
         self.kind = kind
@@ -57,8 +64,12 @@ class RunningBroker:
             self.port: int = free.getsockname()[1]
         write = _write_mosquitto if kind == "mosquitto" else _write_amqtt
         key = _certify(self.certificate) if tls else None
-        self._command = write(folder, self.port, users or {}, (self.certificate, key) if key else None)
-        self.url = f"mqtts://localhost:{self.port}" if tls else f"mqtt://127.0.0.1:{self.port}"
+        self._command = write(
+            folder, self.port, users or {}, (self.certificate, key) if key else None
+        )
+        self.url = (
+            f"mqtts://localhost:{self.port}" if tls else f"mqtt://127.0.0.1:{self.port}"
+        )
         self.start()
 
     def start(self) -> None:
@@ -124,7 +135,8 @@ class LooseBroker:
     def _answer(self, connection: socket.socket) -> None:
         stream = connection.makefile("rb")
         while len(head := stream.read(2)) == 2:
-            body = stream.read(head[1])  # what clients send here is short: its length is one byte
+            # what clients send here is short: its length is one byte
+            body = stream.read(head[1])
             kind = head[0] >> 4
             if kind == _CONNECT:
                 connection.sendall(b"\x20\x02\x00\x00")
@@ -153,7 +165,9 @@ _PATH: Final = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin"
 _Tls = tuple[Path, Path] | None
 
 
-def _write_amqtt(folder: Path, port: int, users: Mapping[str, str], tls: _Tls) -> list[object]:
+def _write_amqtt(
+    folder: Path, port: int, users: Mapping[str, str], tls: _Tls
+) -> list[object]:
     """Its configuration, and the command that starts it."""
     listener: dict[str, object] = {"type": "tcp", "bind": f"127.0.0.1:{port}"}
     if tls is not None:
@@ -167,39 +181,72 @@ def _write_amqtt(folder: Path, port: int, users: Mapping[str, str], tls: _Tls) -
 
         hashed = PasswordHash((Argon2Hasher(),))
         users_file = folder / "users"
-        users_file.write_text("".join(f"{name}:{hashed.hash(word)}\n" for name, word in users.items()))
-        plugins = {"amqtt.plugins.authentication.FileAuthPlugin": {"password_file": str(users_file)}}
+        users_file.write_text(
+            "".join(f"{name}:{hashed.hash(word)}\n" for name, word in users.items())
+        )
+        plugins = {
+            "amqtt.plugins.authentication.FileAuthPlugin": {
+                "password_file": str(users_file)
+            }
+        }
     config = folder / "amqtt.yaml"
-    config.write_text(json.dumps({"listeners": {"default": listener}, "plugins": plugins}))
+    config.write_text(
+        json.dumps({"listeners": {"default": listener}, "plugins": plugins})
+    )
     return [Path(sys.executable).with_name("amqtt"), "-c", config]
 
 
-def _write_mosquitto(folder: Path, port: int, users: Mapping[str, str], tls: _Tls) -> list[object]:
+def _write_mosquitto(
+    folder: Path, port: int, users: Mapping[str, str], tls: _Tls
+) -> list[object]:
     """The same of mosquitto."""
-    lines = [f"listener {port} 127.0.0.1", f"allow_anonymous {str(not users).lower()}", "persistence false"]
+    lines = [
+        f"listener {port} 127.0.0.1",
+        f"allow_anonymous {str(not users).lower()}",
+        "persistence false",
+    ]
     if users:
         users_file = folder / "users"
         users_file.touch(mode=0o600)
         for name, word in users.items():
             subprocess.run(
-                ["mosquitto_passwd", "-b", users_file, name, word], check=True, env={"PATH": _PATH}
+                ["mosquitto_passwd", "-b", users_file, name, word],
+                check=True,
+                env={"PATH": _PATH},
             )
         lines.append(f"password_file {users_file}")
     if tls is not None:
         lines += [f"certfile {tls[0]}", f"keyfile {tls[1]}"]
     config = folder / "mosquitto.conf"
-    config.write_text("\n".join((*lines, "user root", "")))  # it gives root's files up otherwise
+    # it gives root's files up otherwise
+    config.write_text("\n".join((*lines, "user root", "")))
     return [str(shutil.which("mosquitto", path=_PATH)), "-c", config]
 
 
 def _certify(certificate: Path) -> Path:
     """Write a certificate of `localhost`, signed by itself; returns its key."""
     key = certificate.with_name("key.pem")
-    named = ("subjectAltName=DNS:localhost", "keyUsage=critical,digitalSignature,keyCertSign")
-    words = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=localhost"]
+    named = (
+        "subjectAltName=DNS:localhost",
+        "keyUsage=critical,digitalSignature,keyCertSign",
+    )
+    words = [
+        "openssl",
+        "req",
+        "-x509",
+        "-newkey",
+        "rsa:2048",
+        "-nodes",
+        "-subj",
+        "/CN=localhost",
+    ]
     words += [word for extension in named for word in ("-addext", extension)]
     try:
-        subprocess.run([*words, "-keyout", key, "-out", certificate], check=True, capture_output=True)
+        subprocess.run(
+            [*words, "-keyout", key, "-out", certificate],
+            check=True,
+            capture_output=True,
+        )
     except FileNotFoundError:
         pytest.skip("openssl is not installed, which makes the broker's certificate")
     return key

@@ -7,7 +7,12 @@ from io import BytesIO
 
 from tests.support.places import CAMERA_PATHS
 from tests.support.processes import Process, Processes
-from twinmatch.links.thermal_frame import FrameSyntaxError, ThermalEndError, ThermalFrame, read_frame
+from twinmatch.links.thermal_frame import (
+    FrameSyntaxError,
+    ThermalEndError,
+    ThermalFrame,
+    read_frame,
+)
 
 
 def decoded(data: bytes) -> ThermalFrame:
@@ -29,7 +34,9 @@ def decoded(data: bytes) -> ThermalFrame:
 class CameraProgram:
     """A started camera program: `CameraProgram(processes, "emulated", "--plate", "40")`."""
 
-    def __init__(self, processes: Processes, *arguments: str, listen: str | None = "127.0.0.1:0") -> None:
+    def __init__(
+        self, processes: Processes, *arguments: str, listen: str | None = "127.0.0.1:0"
+    ) -> None:
         """Start it on a free port of this computer, or at the given address; None says nothing."""
         extra = () if listen is None else ("--listen", listen)
         environment = {**os.environ, "PYTHONPATH": CAMERA_PATHS}

@@ -16,7 +16,9 @@ def linear(colour: str) -> np.ndarray:
 
 def contrast(first: str, second: str) -> float:
     """Ratio of luminances, as the WCAG compute it."""
-    low, high = sorted(float(linear(colour) @ [0.2126, 0.7152, 0.0722]) for colour in (first, second))
+    low, high = sorted(
+        float(linear(colour) @ [0.2126, 0.7152, 0.0722]) for colour in (first, second)
+    )
     return (high + 0.05) / (low + 0.05)
 
 

@@ -37,7 +37,10 @@ def _duplicate(rng: random.Random, data: bytearray) -> None:
 
 def _insert(rng: random.Random, data: bytearray) -> None:
     for _ in range(rng.randint(1, 3)):
-        data.insert(rng.randrange(len(data) + 1), rng.choice(b"0123456789-PQCHSEB :*\r\n\x00\xff"))
+        data.insert(
+            rng.randrange(len(data) + 1),
+            rng.choice(b"0123456789-PQCHSEB :*\r\n\x00\xff"),
+        )
 
 
 def _swap(rng: random.Random, data: bytearray) -> None:
@@ -52,7 +55,9 @@ def _truncate(rng: random.Random, data: bytearray) -> None:
 
 def _replace(rng: random.Random, data: bytearray) -> None:
     """A digit, or a byte near the beginning."""
-    digits = [i for i, byte in enumerate(data[:70]) if byte in b"0123456789ABCDEF"] or [0]
+    digits = [i for i, byte in enumerate(data[:70]) if byte in b"0123456789ABCDEF"] or [
+        0
+    ]
     place = rng.choice([rng.choice(digits), rng.randrange(min(70, len(data)))])
     data[place] = rng.choice([rng.choice(b"0123456789ABCDEF"), rng.randrange(256)])
 
@@ -73,5 +78,7 @@ def damaged_lines(count: int, seed: int) -> Iterator[tuple[str, bytes]]:
     rng = random.Random(seed)
     for n in range(count):
         verb = rng.choice("PPPPHQC")
-        payload = f"{verb} {rng.randrange(65536)}" + (f" {rng.randint(-255, 255)}" if verb == "P" else "")
+        payload = f"{verb} {rng.randrange(65536)}" + (
+            f" {rng.randint(-255, 255)}" if verb == "P" else ""
+        )
         yield payload, damaged(seal(payload), rng, n)

@@ -31,7 +31,9 @@ def fill(disk: Path) -> None:
 
 
 @contextmanager
-def small_disk(place: Path, kilobytes: int, *, read_only: bool = False) -> Iterator[Path]:
+def small_disk(
+    place: Path, kilobytes: int, *, read_only: bool = False
+) -> Iterator[Path]:
     """A file system of its own in a new folder; the test is skipped where none may be mounted."""
     place.mkdir()
     options = f"size={kilobytes}k,{'ro' if read_only else 'rw'}"

@@ -27,7 +27,12 @@ def processor_seconds() -> float:
     """Time of the processors, s, that this process and all it has started have used until now."""
     own_usage = resource.getrusage(resource.RUSAGE_SELF)
     ended_children = resource.getrusage(resource.RUSAGE_CHILDREN)
-    total = own_usage.ru_utime + own_usage.ru_stime + ended_children.ru_utime + ended_children.ru_stime
+    total = (
+        own_usage.ru_utime
+        + own_usage.ru_stime
+        + ended_children.ru_utime
+        + ended_children.ru_stime
+    )
     for process in _descendants(os.getpid()):
         total += _seconds_of(process)
     return total
@@ -55,7 +60,8 @@ def _seconds_of(process: int) -> float:
         fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     except OSError:
         return 0.0
-    ticks = sum(int(field) for field in fields[11:15])  # user and system: its own, and its children's
+    # user and system: its own, and its children's
+    ticks = sum(int(field) for field in fields[11:15])
     return ticks / TICK
 
 
@@ -88,14 +94,17 @@ class Costs:
         files: dict[str, Cost] = {}
         for test, cost in self.by_test.items():
             files.setdefault(test.split("::")[0], Cost()).add(cost)
-        return dict(sorted(files.items(), key=lambda item: item[1].waited, reverse=True))
+        return dict(
+            sorted(files.items(), key=lambda item: item[1].waited, reverse=True)
+        )
 
     def write(self, path: Path) -> None:
         """Keep what each test took; those that this run has left out stay as they were."""
         path.parent.mkdir(parents=True, exist_ok=True)
         rows = json.loads(path.read_text()) if path.exists() else {}
         rows |= {
-            test: [round(cost.waited, 2), round(cost.computed, 2)] for test, cost in self.by_test.items()
+            test: [round(cost.waited, 2), round(cost.computed, 2)]
+            for test, cost in self.by_test.items()
         }
         path.write_text(json.dumps(rows, indent=0, sort_keys=True) + "\n")
 
@@ -109,7 +118,9 @@ class Costs:
         return costs
 
 
-def files_that_grew(stored: Mapping[str, Cost], measured: Mapping[str, Cost]) -> list[str]:
+def files_that_grew(
+    stored: Mapping[str, Cost], measured: Mapping[str, Cost]
+) -> list[str]:
     """Lines on the files that compute longer than in the stored run, and on those that are new and slow.
 
     None without a stored run. Machines differ: what all files have in common, the median ratio, is the

@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import ClassVar
 
-from twinmatch.dynamics import Drive, Equations, Output, Parameter, Plant, State, Structure
+from twinmatch.dynamics import (
+    Drive,
+    Equations,
+    Output,
+    Parameter,
+    Plant,
+    State,
+    Structure,
+)
 
 
 class Heaters(Plant):
@@ -13,21 +21,29 @@ class Heaters(Plant):
 
     title = "Heaters"
     one, two = (State(unit="°C", span=(0.0, 120.0)) for _ in range(2))
-    first_power, second_power = (Drive(unit="%", limits=(0.0, 100.0), noise=1.0) for _ in range(2))
+    first_power, second_power = (
+        Drive(unit="%", limits=(0.0, 100.0), noise=1.0) for _ in range(2)
+    )
     first, second = (Output(unit="°C", noise=0.1, span=(0.0, 150.0)) for _ in range(2))
     loss = Parameter(unit="1/s", default=0.01, bounds=(1e-3, 0.1), positive=True)
     exchange = Parameter(unit="1/s", default=0.02, bounds=(1e-3, 0.5), positive=True)
-    first_gain = Parameter(unit="°C/s/%", default=0.015, bounds=(1e-3, 0.3), positive=True)
-    second_gain = Parameter(unit="°C/s/%", default=0.01, bounds=(1e-3, 0.3), positive=True)
+    first_gain = Parameter(
+        unit="°C/s/%", default=0.015, bounds=(1e-3, 0.3), positive=True
+    )
+    second_gain = Parameter(
+        unit="°C/s/%", default=0.01, bounds=(1e-3, 0.3), positive=True
+    )
     structures: ClassVar = {
         "all": Structure(free=("loss", "exchange", "first_gain", "second_gain")),
-        "apart": Structure(free=("loss", "first_gain", "second_gain"), fixed={"exchange": 1e-3}),
+        "apart": Structure(
+            free=("loss", "first_gain", "second_gain"), fixed={"exchange": 1e-3}
+        ),
     }
 
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
-        first_rate, second_rate = self.rates_of({name: getattr(self, name) for name in self.parameters})(
-            (self.one, self.two), (self.first_power, self.second_power)
-        )
+        first_rate, second_rate = self.rates_of(
+            {name: getattr(self, name) for name in self.parameters}
+        )((self.one, self.two), (self.first_power, self.second_power))
         return Equations(
             rates={self.one: first_rate, self.two: second_rate},
             output={self.first: self.one, self.second: self.two},
@@ -38,11 +54,16 @@ class Heaters(Plant):
     def rates_of(p: Mapping[str, float]) -> Callable[..., tuple[float, float]]:
         """The rates of both temperatures, from these and the two powers."""
 
-        def rates(x: tuple[float, float], u: tuple[float, float]) -> tuple[float, float]:
+        def rates(
+            x: tuple[float, float], u: tuple[float, float]
+        ) -> tuple[float, float]:
             lost = [
-                p["loss"] * (temperature - 23.0) * (1.0 + 0.003 * (temperature - 23.0)) for temperature in x
+                p["loss"] * (temperature - 23.0) * (1.0 + 0.003 * (temperature - 23.0))
+                for temperature in x
             ]
             exchanged = p["exchange"] * (x[1] - x[0])
-            return p["first_gain"] * u[0] - lost[0] + exchanged, p["second_gain"] * u[1] - lost[1] - exchanged
+            return p["first_gain"] * u[0] - lost[0] + exchanged, p["second_gain"] * u[
+                1
+            ] - lost[1] - exchanged
 
         return rates

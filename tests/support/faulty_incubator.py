@@ -36,7 +36,9 @@ def some_incubator(seed: int) -> Parameters:
     model = Incubator.model("box with mass, sensor lag")
     free = {n: v * random.uniform(0.75, 1.25) for n, v in Incubator.typical.items()}
     return model.parameters(
-        **free, sensor_lag=random.uniform(1.0, 5.0), wall_conductance=random.uniform(0.3, 2.0)
+        **free,
+        sensor_lag=random.uniform(1.0, 5.0),
+        wall_conductance=random.uniform(0.3, 2.0),
     )
 
 

@@ -128,14 +128,18 @@ def run(
         beside = 0.0 if second is None else float(second[k])
         sample = loop.tick(k * SECOND, partial(_constant, level))
         assert sample is not None
-        samples.append(Sample(k, k * SECOND, level, sample.output, sample.input, (beside,)))
+        samples.append(
+            Sample(k, k * SECOND, level, sample.output, sample.input, (beside,))
+        )
         kit.advance(broken.heat(k, sample.input), beside, broken.factor(k))
     return samples
 
 
 def watch(samples: Sequence[Sample]) -> tuple[Alarm, ...]:
     """The alarms of a monitor that knows of the kit what the plant file says."""
-    return watched("kit", lambda: Watched(Monitor(HealthSettings.of(TCLab))), samples).monitor.alarms
+    return watched(
+        "kit", lambda: Watched(Monitor(HealthSettings.of(TCLab))), samples
+    ).monitor.alarms
 
 
 def levels(size: int) -> FloatArray:
@@ -145,7 +149,8 @@ def levels(size: int) -> FloatArray:
 
 def rest_level(power: float) -> float:
     """Temperature at which the simulated kit needs this power, %, with heater 2 at rest."""
-    neighbour_losses = 0.01 * (1.0 - 0.01 / 0.06)  # what heater 1 loses by way of its neighbour
+    # what heater 1 loses by way of its neighbour
+    neighbour_losses = 0.01 * (1.0 - 0.01 / 0.06)
     return 21.0 + power * 200.0 / 5720.0 / (0.05 + neighbour_losses)
 
 
@@ -159,5 +164,7 @@ def some_levels(seed: int, size: int, low: float, high: float, most: int) -> Flo
     chosen = np.random.default_rng(seed + 10_000)
     level_of_sample: list[float] = []
     while len(level_of_sample) < size:
-        level_of_sample += [float(chosen.uniform(low, high))] * int(chosen.integers(100, most))
+        level_of_sample += [float(chosen.uniform(low, high))] * int(
+            chosen.integers(100, most)
+        )
     return np.array(level_of_sample[:size])

@@ -13,7 +13,14 @@ import numpy as np
 
 from tests.support.watched import Watched, watched
 from twinmatch.dynamics import Controller, Parameters, advance, begin, read
-from twinmatch.health import Fault, Health, HealthSettings, HealthState, Monitor, Refusals
+from twinmatch.health import (
+    Fault,
+    Health,
+    HealthSettings,
+    HealthState,
+    Monitor,
+    Refusals,
+)
 from twinmatch.plants import Peltier
 from twinmatch.signals import FloatArray, Sample
 from twinmatch.twin import TwinSettings
@@ -53,7 +60,9 @@ def profile(seed: int, samples: int) -> FloatArray:
     random = np.random.default_rng(seed)
     levels: list[float] = []
     while len(levels) < samples:
-        levels += [float(random.choice(np.arange(20, 100, 0.5)))] * int(random.integers(100, 400))
+        levels += [float(random.choice(np.arange(20, 100, 0.5)))] * int(
+            random.integers(100, 400)
+        )
     return np.array(levels[:samples])
 
 
@@ -93,15 +102,21 @@ def run(
             jump = FLAT_FIELD_JUMP * random.standard_normal()
         jump *= FLAT_FIELD_KEEPS**period
         reading = room if kind == "sensor-off" else truth[k] + jump
-        reading += _offset(kind, (k - broken.start) * period) if broken is not None else 0.0
+        reading += (
+            _offset(kind, (k - broken.start) * period) if broken is not None else 0.0
+        )
         reading = round(reading + float(camera.noise[k]), 2)
         if last is not None and (camera.frozen[k] or kind == "sensor-frozen"):
             reading = last
         last = reading
         pwm = pid.step(float(wanted), reading)[0]
         samples.append(Sample(k, k, float(wanted), reading, pwm))
-        since = (k - broken.start) * period if broken is not None and "~" in kind else 0.0
-        states = advance(_broken_rig(rig, kind, min(since, SLOWLY)), states, pwm, period)
+        since = (
+            (k - broken.start) * period if broken is not None and "~" in kind else 0.0
+        )
+        states = advance(
+            _broken_rig(rig, kind, min(since, SLOWLY)), states, pwm, period
+        )
         if broken is not None and kind.startswith("heat"):
             states[0] += float(kind[4:]) * period / broken.length
     return samples, truth
@@ -123,7 +138,9 @@ def _broken_rig(rig: Parameters, kind: str, since: float = 0.0) -> Parameters:
         return rig.replace(current_limit=1e-9)
     if kind.startswith("supply"):
         come = min(since / SLOWLY, 1.0) if kind[6] == "~" else 1.0
-        return rig.replace(supply=(1.0 - (1.0 - float(kind[7:])) * come) * rig["supply"])
+        return rig.replace(
+            supply=(1.0 - (1.0 - float(kind[7:])) * come) * rig["supply"]
+        )
     if kind.startswith("room"):
         return rig.replace(ambient=rig["ambient"] + float(kind[4:]))
     if kind in FANS:
@@ -132,7 +149,9 @@ def _broken_rig(rig: Parameters, kind: str, since: float = 0.0) -> Parameters:
 
 
 def watch(
-    samples: list[Sample], parameters: Parameters | None = None, settings: HealthSettings | None = None
+    samples: list[Sample],
+    parameters: Parameters | None = None,
+    settings: HealthSettings | None = None,
 ) -> tuple[Monitor, list[Health]]:
     def begin() -> Watched:
         monitor = Monitor(settings)
@@ -154,7 +173,9 @@ def names_told(kind: str, seed: int) -> tuple[str, int | None]:
     "early" is one reported before; "nothing" if none is, and "suspected" if only that.
     """
     start = int(np.random.default_rng(seed).integers(500, 900))
-    samples, _ = run(profile(seed + 1000, 1900), Break(kind, start), rig=some_rig(seed), seed=seed)
+    samples, _ = run(
+        profile(seed + 1000, 1900), Break(kind, start), rig=some_rig(seed), seed=seed
+    )
 
     def named(monitor: Monitor) -> bool:
         return any(alarm.fault is not Fault.DRIFT for alarm in monitor.alarms)
@@ -163,9 +184,13 @@ def names_told(kind: str, seed: int) -> tuple[str, int | None]:
     monitor = watched_rig.monitor
     healths = watched_rig.healths
     if not monitor.alarms:
-        doubted = any(h.state is HealthState.SUSPECT and h.index > start for h in healths)
+        doubted = any(
+            h.state is HealthState.SUSPECT and h.index > start for h in healths
+        )
         return ("suspected" if doubted else "nothing"), None
-    reported = [a for a in monitor.alarms if a.fault is not Fault.DRIFT] or list(monitor.alarms)
+    reported = [a for a in monitor.alarms if a.fault is not Fault.DRIFT] or list(
+        monitor.alarms
+    )
     if monitor.alarms[0].flagged < start:
         return "early", None
     return reported[0].fault.value, reported[0].flagged - start

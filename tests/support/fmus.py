@@ -129,7 +129,9 @@ def build_python_fmu(folder: Path, name: str = "Plate", **how: object) -> Path:
     return Path(FmuBuilder.build_FMU(str(source), dest=str(folder)))
 
 
-def write_map(folder: Path, fmu: Path, name: str = "the shop's", **changes: object) -> Path:
+def write_map(
+    folder: Path, fmu: Path, name: str = "the shop's", **changes: object
+) -> Path:
     """A file that makes an FMU of the plate a structure of the Peltier rig."""
     entry: dict[str, object] = {
         "fmu": str(fmu),
@@ -160,10 +162,14 @@ class ForkedWorker(Forked):
         if process == 0:
             try:
                 os.setsid()
-                for place, end in enumerate((asked, answer, os.open(os.devnull, os.O_WRONLY))):
+                for place, end in enumerate(
+                    (asked, answer, os.open(os.devnull, os.O_WRONLY))
+                ):
                     os.dup2(end, place)
                 os.closerange(3, os.sysconf("SC_OPEN_MAX"))
-                sys.stdout, sys.stderr = (os.fdopen(place, "w", closefd=False) for place in (1, 2))
+                sys.stdout, sys.stderr = (
+                    os.fdopen(place, "w", closefd=False) for place in (1, 2)
+                )
                 for number in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM):
                     signal.signal(number, signal.SIG_DFL)
                 os.environ.clear()
@@ -209,7 +215,9 @@ _XML_3 = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def build_c_fmu(folder: Path, *, events: bool = False, joule: bool = True, cut_out: bool = False) -> Path:
+def build_c_fmu(
+    folder: Path, *, events: bool = False, joule: bool = True, cut_out: bool = False
+) -> Path:
     """A model-exchange FMU (FMI 2) of the same equations, compiled.
 
     The current limit may be an event, Joule's heat may have been forgotten, and a cut-out with hysteresis, of
@@ -223,7 +231,8 @@ def build_c_fmu(folder: Path, *, events: bool = False, joule: bool = True, cut_o
             "m->pwm = 0;", "m->pwm = m->off = 0;"
         )
         code = code.replace(
-            "double most =", "m->off = m->plate > 335 || (m->off && m->plate > 325); double most ="
+            "double most =",
+            "m->off = m->plate > 335 || (m->off && m->plate > 325); double most =",
         )
         code = code.replace("m->pwm / 255.0", "m->pwm * (1 - m->off) / 255.0")
     if not joule:
@@ -232,7 +241,12 @@ def build_c_fmu(folder: Path, *, events: bool = False, joule: bool = True, cut_o
         f'    <ScalarVariable name="{name}" valueReference="{k}" {kind}><Real {real}/></ScalarVariable>'
         for k, (name, kind, real) in enumerate(_variables())
     ]
-    xml = _XML.format(variables="\n".join(lines), output=4, derivative=3, indicators=2 if events else 0)
+    xml = _XML.format(
+        variables="\n".join(lines),
+        output=4,
+        derivative=3,
+        indicators=2 if events else 0,
+    )
     return _compiled(folder, code, _left_out(code, fmpy.fmi2.FMU2Model), xml, "linux64")
 
 
@@ -245,7 +259,9 @@ def build_c_fmu_3(folder: Path) -> Path:
         f'    <Float64 name="{name}" valueReference="{k}" {kind} {real}/>'
         for k, (name, kind, real) in enumerate(_variables())
     ]
-    xml = _XML_3.format(variables="\n".join(lines).replace('derivative="2"', 'derivative="1"'))
+    xml = _XML_3.format(
+        variables="\n".join(lines).replace('derivative="2"', 'derivative="1"')
+    )
     stubs = _left_out(code, fmpy.fmi3.FMU3Model, fmpy.fmi3.FMU3Slave)
     return _compiled(folder, code, stubs, xml, "x86_64-linux")
 
@@ -259,10 +275,17 @@ def _source(name: str) -> str:
 def _variables() -> list[tuple[str, str, str]]:
     return [
         ("pwm", 'causality="input"', 'start="0"'),
-        ("plate", 'causality="local" variability="continuous" initial="exact"', 'start="298.15"'),
+        (
+            "plate",
+            'causality="local" variability="continuous" initial="exact"',
+            'start="298.15"',
+        ),
         ("der(plate)", 'causality="local" variability="continuous"', 'derivative="2"'),
         ("celsius", 'causality="output" variability="continuous"', ""),
-        *((n, 'causality="parameter" variability="fixed"', f'start="{v}"') for n, v in PARAMETERS.items()),
+        *(
+            (n, 'causality="parameter" variability="fixed"', f'start="{v}"')
+            for n, v in PARAMETERS.items()
+        ),
     ]
 
 
@@ -276,7 +299,18 @@ def _compiled(folder: Path, code: str, stubs: str, xml: str, platform: str) -> P
         (build / name).write_text(text, encoding="utf-8")
     headers = Path(fmpy.__file__).parent / "c-code"
     subprocess.run(
-        ["gcc", "-shared", "-fPIC", "-O2", "-w", f"-I{headers}", "plate.c", "others.c", "-o", "plate.so"],
+        [
+            "gcc",
+            "-shared",
+            "-fPIC",
+            "-O2",
+            "-w",
+            f"-I{headers}",
+            "plate.c",
+            "others.c",
+            "-o",
+            "plate.so",
+        ],
         cwd=build,
         check=True,
     )
@@ -290,5 +324,14 @@ def _compiled(folder: Path, code: str, stubs: str, xml: str, platform: str) -> P
 
 def _left_out(code: str, *bases: type) -> str:
     """Functions that FMPy wants to find, and that say that they cannot do it."""
-    names = {name for base in bases for name in dir(base) if name.startswith(("fmi2", "fmi3"))}
-    return "".join(f"int {name}(void) {{ return 3; }}\n" for name in sorted(names) if f"{name}(" not in code)
+    names = {
+        name
+        for base in bases
+        for name in dir(base)
+        if name.startswith(("fmi2", "fmi3"))
+    }
+    return "".join(
+        f"int {name}(void) {{ return 3; }}\n"
+        for name in sorted(names)
+        if f"{name}(" not in code
+    )

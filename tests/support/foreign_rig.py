@@ -41,7 +41,9 @@ class Oven:
         """Set-point and reading, °C, and command, %; then the oven moves on to the next tick."""
         wanted = LEVELS[self._tick // self._hold % 2]
         reading = self._oven + self._noise.gauss(0.0, 0.02)
-        heater = min(max(PROPORTIONAL * (wanted - reading) + self._integral, 0.0), 100.0)
+        heater = min(
+            max(PROPORTIONAL * (wanted - reading) + self._integral, 0.0), 100.0
+        )
         self._integral += INTEGRAL * self._period * (wanted - reading)
         for _ in range(10):
             rate = (GAIN * heater - LOSS * (self._oven - ROOM)) / CAPACITY
@@ -53,19 +55,32 @@ class Oven:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--period", type=float, default=0.05)
-    parser.add_argument("--hold", type=int, default=240, help="ticks from one set-point to the next")
-    parser.add_argument("--stamped", action="store_true", help="sensor_msgs/Temperature, best effort")
+    parser.add_argument(
+        "--hold", type=int, default=240, help="ticks from one set-point to the next"
+    )
+    parser.add_argument(
+        "--stamped", action="store_true", help="sensor_msgs/Temperature, best effort"
+    )
     parser.add_argument("--kelvin", action="store_true")
     parser.add_argument("--no-set-point", action="store_true")
-    parser.add_argument("--topics", nargs=3, default=TOPICS, help="of set-point, reading and command")
-    parser.add_argument("--behind", type=float, default=0.0, help="s that the clock of the stamps is behind")
+    parser.add_argument(
+        "--topics", nargs=3, default=TOPICS, help="of set-point, reading and command"
+    )
+    parser.add_argument(
+        "--behind",
+        type=float,
+        default=0.0,
+        help="s that the clock of the stamps is behind",
+    )
     options = parser.parse_args()
     rclpy.init()
     node = rclpy.create_node("oven_rig")
     kind = Temperature if options.stamped else Float64
     sensor = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
     set_point, temperature, command = options.topics
-    readings = node.create_publisher(kind, temperature, sensor if options.stamped else 10)
+    readings = node.create_publisher(
+        kind, temperature, sensor if options.stamped else 10
+    )
     commands = node.create_publisher(Float64, command, 10)
     set_points = node.create_publisher(Float64, set_point, 10)
     oven = Oven(options.period, options.hold)

@@ -27,4 +27,6 @@ def forecast_loop(
     loop = None if reference is None else law or law_of(parameters.model.plant, 1.0)
     foresight = Foresight([(parameters, unsure)], loop, drift=[drift], **how)
     beginning = foresight.at([states], [covariance], input, controller)
-    return foresight.ahead(beginning, inputs if reference is None else reference, disturbances)
+    return foresight.ahead(
+        beginning, inputs if reference is None else reference, disturbances
+    )

@@ -52,11 +52,15 @@ def ever_trusted(seed: int, seconds: int = 3600, better: float = 1.0) -> Iterato
                 continue
             moved = plant[path] - plant[forecast_from]
             guessed = walk_of_baseline[path] - walk_of_baseline[forecast_from]
-            errors = better * (moved + walks_of_twins[:, path] - walks_of_twins[:, [forecast_from]])
+            errors = better * (
+                moved + walks_of_twins[:, path] - walks_of_twins[:, [forecast_from]]
+            )
             baselines = np.stack([moved + guessed] * 2)[:, None]
             ledger.add(twins, errors[:, None], baselines, place)
         for name in twins if second % 120 == 0 else ():
-            skills = [tuple(skill.tolist()) for part in ledger.skills(name) for skill in part]
+            skills = [
+                tuple(skill.tolist()) for part in ledger.skills(name) for skill in part
+            ]
             score = ForecastScore(name, PARAMETERS, 0, 0, 0.0, (), 0.0, *skills)
             doubts = score.doubts(HORIZONS, trusted[name])
             trusted[name] = tuple(float(h) for h in HORIZONS if h not in doubts)
@@ -69,10 +73,18 @@ def levels(seed: int, samples: int) -> list[str]:
     rng = np.random.default_rng(seed)
     model = Motor.model("with friction")
     defaults = model.parameters()
-    truth = model.parameters(**{n: defaults[n] * rng.uniform(0.75, 1.25) for n in ("k", "j", "b", "dry")})
-    u = np.repeat(rng.uniform(-15.0, 15.0, samples), rng.integers(40, 160, samples))[:samples]
+    truth = model.parameters(
+        **{n: defaults[n] * rng.uniform(0.75, 1.25) for n in ("k", "j", "b", "dry")}
+    )
+    u = np.repeat(rng.uniform(-15.0, 15.0, samples), rng.integers(40, 160, samples))[
+        :samples
+    ]
     driven = simulate_driven(truth, u, states=begin(truth, 0.0), period=0.05)
     speed = driven.output + rng.normal(0.0, Motor.speed.noise, samples)
     twin = Twin(TwinSettings.of(Motor, period=0.05, law=None))
     window = Window(np.zeros(samples), speed, u, period=0.05)
-    return [v.level.value for sample in samples_of(window) for v in twin.push(sample).verdicts]
+    return [
+        v.level.value
+        for sample in samples_of(window)
+        for v in twin.push(sample).verdicts
+    ]

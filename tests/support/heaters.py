@@ -11,7 +11,14 @@ from std_srvs.srv import Trigger
 from tests.support.ros import Listener
 
 UNWATCHED = [
-    *("-p", "observer.band:=150.0", "-p", "observer.margin:=150.0", "-p", "budget.least:=1000000.0"),
+    *(
+        "-p",
+        "observer.band:=150.0",
+        "-p",
+        "observer.margin:=150.0",
+        "-p",
+        "budget.least:=1000000.0",
+    ),
 ]
 """For benches whose sensor shows what the test says, whatever is driven."""
 
@@ -24,7 +31,9 @@ class HeaterRig:
         self.listener = listener
         self.applied: list[Any] = []
         names = ("clear_fault", "stop")
-        self._services = {n: listener.node.create_client(Trigger, f"{place}/{n}") for n in names}
+        self._services = {
+            n: listener.node.create_client(Trigger, f"{place}/{n}") for n in names
+        }
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 

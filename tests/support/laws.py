@@ -41,5 +41,7 @@ def kit_session(name: str, folder: Path) -> Session:
         for k, row in enumerate(rows)
     ]
     return replace(
-        read_session(write_session(folder / name, samples)), plant="tclab-both", has_reference=closed
+        read_session(write_session(folder / name, samples)),
+        plant="tclab-both",
+        has_reference=closed,
     )

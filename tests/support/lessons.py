@@ -14,7 +14,9 @@ from twinmatch.plants import Peltier
 HOUR = 3_600_000_000_000
 
 
-def lesson(number: int = 1, structure: str = "paper", *, rig: str = "", **changed: object) -> Lesson:
+def lesson(
+    number: int = 1, structure: str = "paper", *, rig: str = "", **changed: object
+) -> Lesson:
     """That of the session `number`, a day after the one before; its covariance is of no particular size."""
     values = {"seebeck": 0.05 + 1e-3 * number, "conductance": 0.5, "resistance": 3.3}
     spread = np.array([[1e-6, 2e-6], [2e-6, 1e-4]])
@@ -119,8 +121,13 @@ def lived_rig(seed: int, kind: str, sessions: int = 12) -> LivedRig:
             true_today[names.index(changed)] *= (1.0 + 0.01 * sign) ** number
         spread = _KNOWN * true * rng.uniform(0.6, 1.6)
         covariance = correlations * np.outer(spread, spread)
-        errors = rng.multivariate_normal(np.zeros(6), covariance) * (5.0 if rng.random() < 0.04 else 1.0)
-        learned = {**_PLANT.parameters(), **dict(zip(free, (true_today + errors).tolist(), strict=True))}
+        errors = rng.multivariate_normal(np.zeros(6), covariance) * (
+            5.0 if rng.random() < 0.04 else 1.0
+        )
+        learned = {
+            **_PLANT.parameters(),
+            **dict(zip(free, (true_today + errors).tolist(), strict=True)),
+        }
         spreads = tuple(map(tuple, covariance.tolist()))
         lessons.append(
             lesson(number, _PLANT.structure_name, parameters=learned, free=free, covariance=spreads)
@@ -150,7 +157,11 @@ def told_of(rig: LivedRig) -> Told:
     false = 0
     for count in range(4, len(rig.lessons) + 1):
         changes = report_on(rig.lessons[:count], _PLANT).changes
-        right = [c for c in changes if rig.kind != "steady" and rig.changed in c.name.split(" ")]
+        right = [
+            c
+            for c in changes
+            if rig.kind != "steady" and rig.changed in c.name.split(" ")
+        ]
         false += len(right) < len(changes)
         if right and (rig.kind == "drift" or count > rig.since):
             first = first or count

@@ -12,7 +12,17 @@ import numpy as np
 
 from tests.support.faulty_rig import CAMERA, RICH_RIG
 from tests.support.watched import copied
-from twinmatch.dynamics import Controller, Law, Parameters, Sensor, advance, begin, law_of, read, readings
+from twinmatch.dynamics import (
+    Controller,
+    Law,
+    Parameters,
+    Sensor,
+    advance,
+    begin,
+    law_of,
+    read,
+    readings,
+)
 from twinmatch.nodes.gated import ClockTimes, GatedNode, OutputGate
 from twinmatch.nodes.pwm_bridge import PwmBridge
 from twinmatch.nodes.tclab_bridge import TCLabBridge
@@ -45,7 +55,10 @@ class Bench(NamedTuple):
     def plant(self, seed: int, spread: float = 0.25) -> Parameters:
         """A plant with parameters that differ by up to `spread`, in some room."""
         random = np.random.default_rng(seed)
-        moved = {name: self.typical[name] * random.uniform(1 - spread, 1 + spread) for name in self.spread}
+        moved = {
+            name: self.typical[name] * random.uniform(1 - spread, 1 + spread)
+            for name in self.spread
+        }
         return self.typical.replace(**moved, ambient=random.uniform(288.0, 301.0))
 
 
@@ -83,7 +96,10 @@ RATES = (0.05, 0.1, 0.2, 0.4, 0.8, 2.0)
 DRIFTS = (*(-rate for rate in RATES), *RATES)
 LIES: dict[str, Lie] = {
     **{f"drifts by {rate:+g} °C/s": drifting(rate) for rate in DRIFTS},
-    **{f"slides off within {seconds:g} s": sliding_off(seconds) for seconds in (5.0, 20.0, 60.0)},
+    **{
+        f"slides off within {seconds:g} s": sliding_off(seconds)
+        for seconds in (5.0, 20.0, 60.0)
+    },
     "stuck at 20 °C": lambda _, __: 20.0,
     **{f"{seconds} s late": late(seconds) for seconds in (5, 10, 20, 60)},
     "scaled by 0.7": scaled(0.7, 1e-9),
@@ -103,10 +119,18 @@ class SlowLie(NamedTuple):
 SLOW_LIES: dict[str, SlowLie] = {
     **{
         f"drifts by -{rate:g} °C/s": SlowLie(drifting(-rate), lasts)
-        for rate, lasts in ((0.005, 5600), (0.01, 5600), (0.02, 3600), (0.05, 1800), (0.2, 900))
+        for rate, lasts in (
+            (0.005, 5600),
+            (0.01, 5600),
+            (0.02, 3600),
+            (0.05, 1800),
+            (0.2, 900),
+        )
     },
     **{
-        f"scaled by {factor:g} within {minutes} min": SlowLie(scaled(factor, 60.0 * minutes), lasts)
+        f"scaled by {factor:g} within {minutes} min": SlowLie(
+            scaled(factor, 60.0 * minutes), lasts
+        )
         for minutes, lasts in ((10, 1800), (30, 3000), (60, 4800))
         for factor in (0.85, 0.7, 0.5)
     },
@@ -130,8 +154,14 @@ class Ending:
 class GuardedLoop:
     """A plant in its loop behind a guard, which decides twice a second, with a sensor that may lie."""
 
-    def __init__(  # noqa: PLR0917 (a case of the table)
-        self, bench: Bench, guard: OutputGuard, plant: Parameters, size: int, seed: int, begins: int
+    def __init__(  # noqa: PLR0917
+        self,
+        bench: Bench,
+        guard: OutputGuard,
+        plant: Parameters,
+        size: int,
+        seed: int,
+        begins: int,
     ) -> None:
         """Begin cold; the sensor lies from the second `begins` on, of at most `size`."""
         self._guard = guard
@@ -139,7 +169,9 @@ class GuardedLoop:
         self._begins = begins
         self._sensor = bench.sensor.realise(size, 1.0, seed)
         self._controller = Controller(bench.loop)
-        self._states = begin(plant, plant["ambient"] - bench.typical.model.plant.output.absolute)
+        self._states = begin(
+            plant, plant["ambient"] - bench.typical.model.plant.output.absolute
+        )
         self._true = list[float]()
         self._measured = 0.0
         self._applied = math.inf
@@ -159,7 +191,11 @@ class GuardedLoop:
         ending = self.ending
         self._true.append(read(self._plant, self._states))
         is_true = lie is None or k < self._begins
-        reported = self._true[-1] if is_true or lie is None else lie(k - self._begins, self._true)
+        reported = (
+            self._true[-1]
+            if is_true or lie is None
+            else lie(k - self._begins, self._true)
+        )
         if not (self._sensor.frozen[k] and k):
             self._measured = reported + float(self._sensor.noise[k])
         measured = self._measured
@@ -187,12 +223,14 @@ class GuardedLoop:
         return ended or (lie is not None and ending.limited > LIMITED)
 
 
-def lie_to(  # noqa: PLR0917 (a case of the table)
+def lie_to(  # noqa: PLR0917
     bench: Bench, guard: OutputGuard, plant: Parameters, references: Sequence[float], lie: Lie | None = None,
     seed: int = 0, begins: int = BEGINS,
 ) -> Ending:  # fmt: skip
     """Run a loop from its beginning over set-points, a second each."""
-    return GuardedLoop(bench, guard, plant, len(references), seed, begins).run(references, lie)
+    return GuardedLoop(bench, guard, plant, len(references), seed, begins).run(
+        references, lie
+    )
 
 
 @cache
@@ -216,7 +254,10 @@ def whole_kit(seed: int, spread: float = 0.25) -> Parameters:
     typical = TCLabBoth.model("sensor lags").typical()
     low = 1.0 - spread
     high = 1.0 + spread
-    moved = {name: typical[name] * random.uniform(low, high) for name in ("losses", "heating", "exchange")}
+    moved = {
+        name: typical[name] * random.uniform(low, high)
+        for name in ("losses", "heating", "exchange")
+    }
     moved["second_heating"] = moved["heating"] * random.uniform(0.5, 0.75)
     return typical.replace(**moved, ambient=random.uniform(288.0, 301.0))
 
@@ -230,7 +271,7 @@ class RunTime:
         return ClockTimes(*[round(self.now * NANOSECONDS) + NANOSECONDS] * 3)
 
 
-def drive_for_a_second(  # noqa: PLR0917 (what a second of a loop needs)
+def drive_for_a_second(  # noqa: PLR0917
     gate: OutputGate, clocks: RunTime, k: int, plant: Parameters, states: FloatArray, measured: FloatArray,
     command: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
@@ -246,7 +287,11 @@ def drive_for_a_second(  # noqa: PLR0917 (what a second of a loop needs)
 
 
 def lie_to_both(
-    plant: Parameters, references: FloatArray, lie: Lie | None = None, channel: int = 0, seed: int = 0
+    plant: Parameters,
+    references: FloatArray,
+    lie: Lie | None = None,
+    channel: int = 0,
+    seed: int = 0,
 ) -> list[Ending]:
     """The same of a kit whose heaters are both driven, behind their gate: the sensor of one channel lies.
     Set-points have shape (N, 2)."""
@@ -261,15 +306,25 @@ def lie_to_both(
         true.append(readings(plant, states))
         measured = true[-1] + 0.12 * random.standard_normal(2)
         if lie is not None and k >= BEGINS:
-            measured[channel] += lie(k - BEGINS, [row[channel] for row in true[-80:]]) - true[-1][channel]
+            measured[channel] += (
+                lie(k - BEGINS, [row[channel] for row in true[-80:]])
+                - true[-1][channel]
+            )
         command = controller.step(references[k], measured)
-        states, applied = drive_for_a_second(gate, clocks, k, plant, states, measured, command)
+        states, applied = drive_for_a_second(
+            gate, clocks, k, plant, states, measured, command
+        )
         gate.sample(tuple(references[k]), tuple(measured), tuple(applied))
         for number, ending in enumerate(endings):
             if lie is None or k >= BEGINS:
                 ending.highest = max(ending.highest, float(true[-1][number]))
             ending.limited += gate.armed and applied[number] < command[number]
-            if ending.fault is None and gate.fault is not None and not gate.armed and k > 1:
+            if (
+                ending.fault is None
+                and gate.fault is not None
+                and not gate.armed
+                and k > 1
+            ):
                 ending.fault = gate.fault
                 ending.after = k - BEGINS
         if endings[0].fault is not None and k > BEGINS + (endings[0].after or 0) + 60:

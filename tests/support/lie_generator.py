@@ -133,7 +133,9 @@ def draw_healthy(seed: int, spread: float = 0.25) -> LieRun:
     surroundings = _draw_surroundings(
         random, kind, HEALTHY_LASTS, rooms, random.uniform(0.0, 0.7 * HEALTHY_LASTS)
     )
-    return LieRun(seed, kind, _draw_plant(random, kind, spread), name, references, surroundings)
+    return LieRun(
+        seed, kind, _draw_plant(random, kind, spread), name, references, surroundings
+    )
 
 
 def _begin_of_lie(random: np.random.Generator) -> int:
@@ -151,7 +153,9 @@ def _draw_plant(random: np.random.Generator, kind: str, spread: float) -> Parame
     return (RIG if kind == "rig" else KIT).plant(seed, spread)
 
 
-def _draw_set_points(random: np.random.Generator, kind: str, samples: int) -> tuple[str, FloatArray]:
+def _draw_set_points(
+    random: np.random.Generator, kind: str, samples: int
+) -> tuple[str, FloatArray]:
     name = str(random.choice(tuple(SET_POINTS), p=(0.2, 0.2, 0.25, 0.25, 0.1)))
     low, high = SPANS[kind]
     course = np.resize(SET_POINTS[name](random, low, high), samples)
@@ -178,7 +182,9 @@ def _stairs(random: np.random.Generator, low: float, high: float) -> FloatArray:
 def _ramps(random: np.random.Generator, low: float, high: float) -> FloatArray:
     """Up and down, at 0.3 to 6 °C/min."""
     first = random.uniform(low, low + 15.0)
-    up = np.arange(first, random.uniform(first + 10.0, high), _between(random, 0.3, 6.0) / 60.0)
+    up = np.arange(
+        first, random.uniform(first + 10.0, high), _between(random, 0.3, 6.0) / 60.0
+    )
     return np.concatenate([up, np.full(int(random.uniform(0, 900)), up[-1]), up[::-1]])
 
 
@@ -188,7 +194,9 @@ def _steps(random: np.random.Generator, low: float, high: float) -> FloatArray:
 
 SPANS: Final = {"rig": (25.0, 95.0), "kit": (28.0, 68.0), "both": (28.0, 60.0)}
 """Between which set-points are drawn, °C; of both heaters of a kit, those of the stronger."""
-SET_POINTS: Final[dict[str, Callable[[np.random.Generator, float, float], FloatArray]]] = {
+SET_POINTS: Final[
+    dict[str, Callable[[np.random.Generator, float, float], FloatArray]]
+] = {
     "constant": _constant,
     "default profile": _default_profile,
     "stairs": _stairs,
@@ -222,7 +230,12 @@ def _between(random: np.random.Generator, low: float, high: float) -> float:
 
 
 def _draw_lie(random: np.random.Generator) -> tuple[str, Lie]:
-    name = str(random.choice(("drift", "scale", "sine", "slide", "stuck"), p=(0.44, 0.14, 0.14, 0.14, 0.14)))
+    name = str(
+        random.choice(
+            ("drift", "scale", "sine", "slide", "stuck"),
+            p=(0.44, 0.14, 0.14, 0.14, 0.14),
+        )
+    )
     if name == "drift":
         rate = _between(random, 0.005, 1.0) * (-1.0 if random.random() < 0.85 else 1.0)
         return f"drifts by {rate:+.3f} °C/s", drifting(rate)
@@ -233,7 +246,9 @@ def _draw_lie(random: np.random.Generator) -> tuple[str, Lie]:
     if name == "sine":
         amplitude = random.uniform(5.0, 40.0)
         lasts = _between(random, 300.0, 2.0 * HOUR)
-        return f"swings by {amplitude:.0f} °C in {lasts:.0f} s", _swinging(amplitude, lasts)
+        return f"swings by {amplitude:.0f} °C in {lasts:.0f} s", _swinging(
+            amplitude, lasts
+        )
     if name == "slide":
         within = _between(random, 5.0, HOUR)
         return f"slides off within {within:.0f} s", sliding_off(within)
@@ -290,8 +305,14 @@ def follow(run: LieRun) -> LieOutcome:
             if run.lie is not None and k >= run.begins and channel in run.channels:
                 measured[channel] += run.lie(k - run.begins, history) - history[-1]
         command = np.atleast_1d(controller.step(reference, measured))
-        states, applied = drive_for_a_second(gate, clocks, k, plant, states, measured, command)
-        gate.sample(tuple(reference), tuple(measured), tuple(applied if gate.fault is not None else command))
+        states, applied = drive_for_a_second(
+            gate, clocks, k, plant, states, measured, command
+        )
+        gate.sample(
+            tuple(reference),
+            tuple(measured),
+            tuple(applied if gate.fault is not None else command),
+        )
         outcome.limited += int(gate.armed and bool((applied < command).any()))
         _judge(run, k, true, outcome)
         if gate.fault is not None and not gate.armed and k > 1 and not outcome.fault:
@@ -307,7 +328,9 @@ def _judge(run: LieRun, k: int, true: FloatArray, outcome: LieOutcome) -> None:
     """How far a plate is above what is allowed."""
     if k < run.begins:
         return
-    allowed = np.maximum(run.references[max(0, k - BACK) : k + 1].max(axis=0) + ABOVE, WARM)
+    allowed = np.maximum(
+        run.references[max(0, k - BACK) : k + 1].max(axis=0) + ABOVE, WARM
+    )
     beyond = float((true - allowed).max())
     outcome.highest = max(outcome.highest, float(true.max()))
     if beyond > outcome.beyond:

@@ -25,7 +25,14 @@ from tests.support.lessons import lived_rig
 from tests.support.plants import Lag
 from twinmatch.adding import propose
 from twinmatch.cli import main
-from twinmatch.controllers import ControllerQuestion, FilteredPid, Holding, TriedTwin, pid_law, try_controller
+from twinmatch.controllers import (
+    ControllerQuestion,
+    FilteredPid,
+    Holding,
+    TriedTwin,
+    pid_law,
+    try_controller,
+)
 from twinmatch.errors import TwinmatchError
 from twinmatch.fmu.mapping import read_maps
 from twinmatch.importing.column_map import columns_of, proposed, read_map
@@ -41,14 +48,42 @@ from twinmatch.plants import Peltier
 from twinmatch.sampling.sources import SignalMap
 
 LIMITS = {"low": -10.0, "high": 10.0}
-HELD = pid_law([FilteredPid(proportional=1.0, integral=0.2, back_calculation=0.5, **LIMITS)], 1.0)
+HELD = pid_law(
+    [FilteredPid(proportional=1.0, integral=0.2, back_calculation=0.5, **LIMITS)], 1.0
+)
 STEPS = np.repeat([[3.0], [5.0]], 30, axis=0)
-MATRICES = {"A": [[1.0]], "B": [[-0.1]], "C": [[1.0]], "D": [[-2.0]], "E": [[2.0]], "F": [[0.1]]}
+MATRICES = {
+    "A": [[1.0]],
+    "B": [[-0.1]],
+    "C": [[1.0]],
+    "D": [[-2.0]],
+    "E": [[2.0]],
+    "F": [[0.1]],
+}
 REGULATOR = {key: [[0.5]] for key in ("A", "B", "C", "K", "Qs", "Rs", "Cd")}
 LAWS: tuple[dict[str, Any], ...] = (
-    {"kind": "pid", "proportional": 2.0, "integral": 0.1, "derivative": 0.5, "filter": 1.0, **LIMITS},
-    {"kind": "pid", "loops": [{"proportional": 2.0, "integral": 0.1}], "period": 1.0, "units": {"u": "V"}},
-    {"kind": "two-level", "off": 0.0, "on": 5.0, "below": 0.5, "above": 0.2, "least_on": 3.0},
+    {
+        "kind": "pid",
+        "proportional": 2.0,
+        "integral": 0.1,
+        "derivative": 0.5,
+        "filter": 1.0,
+        **LIMITS,
+    },
+    {
+        "kind": "pid",
+        "loops": [{"proportional": 2.0, "integral": 0.1}],
+        "period": 1.0,
+        "units": {"u": "V"},
+    },
+    {
+        "kind": "two-level",
+        "off": 0.0,
+        "on": 5.0,
+        "below": 0.5,
+        "above": 0.2,
+        "least_on": 3.0,
+    },
     {"kind": "state-space", **MATRICES, "outputs": ["y"], "inputs": ["u"]},
     {**REGULATOR, "Bd": [[0.0]], "K": [[0.1], [0.2]], "u0": [[1.0]], "y0": [[2.0]]},
 )
@@ -58,7 +93,21 @@ ODD: tuple[Any, ...] = (
     [[]], [1], [1, [2, 3]], [[1, 2], [3]], {}, {"x": 1}, {"kind": "pid"}, "../../etc/passwd",
     [["x"] * 3] * 3, [0.0] * 1000,
 )  # fmt: skip
-NUMBERS = (0.0, -1.0, 1.0, 0.5, 3.0, 1e-300, 1e-9, 1e6, 1e9, 1e154, 1e300, -1e300, 1.7e308)
+NUMBERS = (
+    0.0,
+    -1.0,
+    1.0,
+    0.5,
+    3.0,
+    1e-300,
+    1e-9,
+    1e6,
+    1e9,
+    1e154,
+    1e300,
+    -1e300,
+    1.7e308,
+)
 SEVERAL = (1, 1, 1, 2, 3)
 """Changes of a document."""
 DEEP: Any = 1
@@ -114,17 +163,24 @@ class Malformed:
         self._table.write_text(TABLE, "utf-8")
         lessons = lived_rig(1, "step", 6).lessons
         model = Peltier.model(lessons[0].structure)
-        self._lessons = [replace(lesson, equations=model.equations) for lesson in lessons]
+        self._lessons = [
+            replace(lesson, equations=model.equations) for lesson in lessons
+        ]
         self._memory = folder / "sound.sqlite"
         Memory(self._memory).add(self._lessons)
         start = remembered_start(self._memory, "", "peltier")
         self._candidates = yaml.safe_load(candidates_text(start.candidates))
 
     def laws(self) -> None:
-        path = self._written("law.json", self._json(self._changed(self._random.choice(LAWS))))
+        path = self._written(
+            "law.json", self._json(self._changed(self._random.choice(LAWS)))
+        )
         law = read_law(path, Lag, 1.0)
         twin = TriedTwin("nominal", Lag.model().parameters())
-        try_controller([twin], ControllerQuestion(law, STEPS, STEPS[0], Holding(HELD, 1.0, 60), draws=25))
+        try_controller(
+            [twin],
+            ControllerQuestion(law, STEPS, STEPS[0], Holding(HELD, 1.0, 60), draws=25),
+        )
 
     def memories(self) -> None:
         path = self._folder / "rig.sqlite"
@@ -135,17 +191,26 @@ class Malformed:
                 name = self._random.choice(names)
                 value = getattr(self._lessons[0], name)
                 some = self._random.choice(("1", "rowid = 2"))
-                with contextlib.suppress(sqlite3.Error, OverflowError, UnicodeEncodeError):
-                    database.execute(f"UPDATE lesson SET {name} = ? WHERE {some}", [self._cell(value)])
+                with contextlib.suppress(
+                    sqlite3.Error, OverflowError, UnicodeEncodeError
+                ):
+                    database.execute(
+                        f"UPDATE lesson SET {name} = ? WHERE {some}",
+                        [self._cell(value)],
+                    )
             database.commit()
         if self._random.random() < 0.1:
             self._written(path.name, path.read_bytes(), always=True)
-        self._command("memory", "--memory", str(path), "--json", str(self._folder / "out.json"))
+        self._command(
+            "memory", "--memory", str(path), "--json", str(self._folder / "out.json")
+        )
         remembered_start(path, "", "")
         Memory(path).forget(["run_1"])
 
     def candidates(self) -> None:
-        path = self._written("candidates.yaml", self._yaml(self._changed(self._candidates)))
+        path = self._written(
+            "candidates.yaml", self._yaml(self._changed(self._candidates))
+        )
         read_candidates(path)
 
     def profiles(self) -> None:
@@ -166,7 +231,9 @@ class Malformed:
         read_settings(self._written("twin.yaml", self._yaml(self._changed(SETTINGS))))
 
     def tables(self) -> None:
-        path = self._written("table.csv", self._cells(TABLE, self._random.choice(",,,;\t")).encode())
+        path = self._written(
+            "table.csv", self._cells(TABLE, self._random.choice(",,,;\t")).encode()
+        )
         table = read_table(path)
         columns = columns_of(table)
         propose(table, SignalMap(proposed(columns)))
@@ -200,7 +267,9 @@ class Malformed:
             if kind < 0.15:
                 del owner[key]
             elif kind < 0.25 and isinstance(owner, dict):
-                owner[self._random.choice(("x", "\x1b[2J", " " * 700, "kind", "9" * 300))] = owner[key]
+                owner[
+                    self._random.choice(("x", "\x1b[2J", " " * 700, "kind", "9" * 300))
+                ] = owner[key]
             elif kind < 0.35:
                 owner[key] = [owner[key]]
             elif kind < 0.7 and isinstance(owner[key], float | int):
@@ -247,7 +316,16 @@ class Malformed:
         return yaml.dump(tree, allow_unicode=True).encode("utf-8", "surrogatepass")
 
 
-KINDS = ("laws", "memories", "candidates", "profiles", "maps", "fmu_maps", "settings", "tables")
+KINDS = (
+    "laws",
+    "memories",
+    "candidates",
+    "profiles",
+    "maps",
+    "fmu_maps",
+    "settings",
+    "tables",
+)
 
 
 def _places(tree: Any) -> Iterator[tuple[Any, Any]]:

@@ -17,7 +17,9 @@ from twinmatch.signals import FloatArray
 
 _STEPS: Final = 20
 """Steps of integration in a sample."""
-_LEVEL: Final = re.compile(r"(?:rest first: |then )\w+ at (?P<level>\S+)(?: \S+)? for (?P<hold>\S+) s")
+_LEVEL: Final = re.compile(
+    r"(?:rest first: |then )\w+ at (?P<level>\S+)(?: \S+)? for (?P<hold>\S+) s"
+)
 _ENDS: Final = re.compile(r"leaves (?P<low>\S+)(?: \S+)? to (?P<high>[^\s,]+)")
 _PERIOD: Final = re.compile(r"one sample every (?P<period>\S+) s")
 
@@ -57,14 +59,18 @@ class RunningPlant:
 
     def reading(self) -> float:
         """A reading of the sensor, with its noise."""
-        return float(self._states[-1] + self._plant.noise * self._random.standard_normal())
+        return float(
+            self._states[-1] + self._plant.noise * self._random.standard_normal()
+        )
 
     def advance(self, command: float) -> None:
         """Let one sample pass under a command."""
         for _ in range(_STEPS):
             self._waiting.append(command)
             acting = self._waiting.pop(0)
-            self._states = self._states + self._step * self._plant.rates(self._states, acting)
+            self._states = self._states + self._step * self._plant.rates(
+                self._states, acting
+            )
 
 
 def kettle(rng: np.random.Generator) -> UnknownPlant:
@@ -109,7 +115,16 @@ def room(rng: np.random.Generator) -> UnknownPlant:
     safe = (5.0, 32.0)
     measured = "air [°C] 5 to 32"
     return UnknownPlant(
-        "room", rates, (16.0, 0.0, 16.0), 0.0, 0.03, measured, "valve [%] 0 to 100", takes, safe, (0.0, 100.0)
+        "room",
+        rates,
+        (16.0, 0.0, 16.0),
+        0.0,
+        0.03,
+        measured,
+        "valve [%] 0 to 100",
+        takes,
+        safe,
+        (0.0, 100.0),
     )
 
 
@@ -127,7 +142,16 @@ def hot_end(rng: np.random.Generator) -> UnknownPlant:
     safe = (0.0, 280.0)
     measured = "block [°C] 0 to 280"
     return UnknownPlant(
-        "hot_end", rates, (25.0, 25.0), 1.0, 0.2, measured, "heater [%] 0 to 100", takes, safe, (0.0, 100.0)
+        "hot_end",
+        rates,
+        (25.0, 25.0),
+        1.0,
+        0.2,
+        measured,
+        "heater [%] 0 to 100",
+        takes,
+        safe,
+        (0.0, 100.0),
     )
 
 
@@ -139,13 +163,24 @@ def tank(rng: np.random.Generator) -> UnknownPlant:
 
     def rates(x: FloatArray, command: float) -> FloatArray:
         out = np.sqrt(max(x[1], 0.0) / top)
-        return np.array([(command / 100.0 - x[0]) / pump, (x[0] - out) * top / (2.0 * lag)])
+        return np.array(
+            [(command / 100.0 - x[0]) / pump, (x[0] - out) * top / (2.0 * lag)]
+        )
 
     takes = lag * float(rng.uniform(0.5, 2.0))
     safe = (-5.0, 100.0)
     measured = "level [cm] -5 to 100"
     return UnknownPlant(
-        "tank", rates, (0.0, 0.0), 0.0, 0.1, measured, "pump [%] 0 to 100", takes, safe, (0.0, 100.0)
+        "tank",
+        rates,
+        (0.0, 0.0),
+        0.0,
+        0.1,
+        measured,
+        "pump [%] 0 to 100",
+        takes,
+        safe,
+        (0.0, 100.0),
     )
 
 
@@ -196,7 +231,9 @@ class Led:
         """Whether the output never left its range."""
         return self.plant.safe[0] <= self.lowest and self.highest <= self.plant.safe[1]
 
-    def record(self, course: PrintedCourse, period: float, path: Path, seed: int) -> None:
+    def record(
+        self, course: PrintedCourse, period: float, path: Path, seed: int
+    ) -> None:
         """Follow a course from rest on, and end its steps if the output leaves the range printed."""
         plant = self.plant
         running = RunningPlant(plant, period, seed)
@@ -221,9 +258,18 @@ def lead(plant: UnknownPlant, folder: Path, seed: int) -> Led:
     """Lead the newcomer of a plant: three commands and as many recordings at most, then the PID runs."""
     led = Led(plant)
     file = folder / f"{plant.name}.py"
-    said = ["--measured", plant.measured, "--moved", plant.moved, "--takes", f"{plant.takes:.0f}"]
+    said = [
+        "--measured",
+        plant.measured,
+        "--moved",
+        plant.moved,
+        "--takes",
+        f"{plant.takes:.0f}",
+    ]
     now = ["--now", f"{plant.start[-1]:g}"]
-    text = _printed_by(["new-plant", plant.name, "--nothing-recorded", *said, *now, "-o", str(folder)])
+    text = _printed_by(
+        ["new-plant", plant.name, "--nothing-recorded", *said, *now, "-o", str(folder)]
+    )
     led.commands += 1
     period = float(_found(_PERIOD, text))
     gains = folder / "pid.json"
@@ -232,7 +278,16 @@ def lead(plant: UnknownPlant, folder: Path, seed: int) -> Led:
         led.record(PrintedCourse.read(text), period, log, seed + led.recordings)
         document = folder / "answer.json"
         text = _printed_by(
-            ["experiment", str(log), "--plant", str(file), "--pid", str(gains), "--json", str(document)]
+            [
+                "experiment",
+                str(log),
+                "--plant",
+                str(file),
+                "--pid",
+                str(gains),
+                "--json",
+                str(document),
+            ]
         )
         led.commands += 1
         led.words = text
@@ -276,7 +331,9 @@ def _run_pid(plant: UnknownPlant, gains: dict[str, float], led: Led, seed: int) 
         error = target - reading
         wanted = gains["proportional"] * error + integral
         command = min(max(wanted, plant.drive[0]), plant.drive[1])
-        integral += period * (gains["integral"] * error + gains["back_calculation"] * (command - wanted))
+        integral += period * (
+            gains["integral"] * error + gains["back_calculation"] * (command - wanted)
+        )
         running.advance(command)
         outputs.append(reading)
     size = abs(target - start)

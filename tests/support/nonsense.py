@@ -63,7 +63,9 @@ class Nonsense:
     def malformed(self, kind: Any) -> bytes:
         """Bytes that were once a message of a type, or never."""
         damage = self._random.choice(DAMAGES)
-        return damage(self, kind, bytearray(serialize_message(self.message(kind))))[: FIXED.get(kind)]
+        return damage(self, kind, bytearray(serialize_message(self.message(kind))))[
+            : FIXED.get(kind)
+        ]
 
     def cut(self, _: Any, data: bytearray) -> bytes:
         return bytes(data[: self._random.randrange(len(data))])
@@ -83,12 +85,16 @@ class Nonsense:
 
     def foreign(self, kind: Any, _: bytearray) -> bytes:
         other_kinds = [
-            candidate for candidate in MESSAGES if "srv" not in candidate.__module__ and candidate is not kind
+            candidate
+            for candidate in MESSAGES
+            if "srv" not in candidate.__module__ and candidate is not kind
         ]
         return bytes(serialize_message(self.message(self._random.choice(other_kinds))))
 
     def noise(self, _: Any, data: bytearray) -> bytes:
-        return self._random.choice((b"", HEAD)) + self._random.randbytes(min(len(data), 300))
+        return self._random.choice((b"", HEAD)) + self._random.randbytes(
+            min(len(data), 300)
+        )
 
     def short(self, _kind: Any, _data: bytearray) -> bytes:
         return self._random.choice((b"", HEAD, HEAD[:2]))
@@ -103,7 +109,9 @@ class Nonsense:
         """A sound message with one to three of its fields drawn again, wherever they are nested."""
         for _ in range(self._random.randint(1, 3)):
             owner = self._random.choice(list(_parts(message)))
-            name, text = self._random.choice(list(owner.get_fields_and_field_types().items()))
+            name, text = self._random.choice(
+                list(owner.get_fields_and_field_types().items())
+            )
             self._set(owner, name, text)
         return message
 
@@ -117,14 +125,22 @@ class Nonsense:
             size = min(size, 3)
         values = [self._value(field.kind) for _ in range(size)]
         old = getattr(message, name)
-        setattr(message, name, array(old.typecode, values) if isinstance(old, array) else values)
+        setattr(
+            message,
+            name,
+            array(old.typecode, values) if isinstance(old, array) else values,
+        )
 
     def _value(self, kind: str) -> Any:
         draw = self._random
         if "/" in kind:
             return self.message(message_class(kind))
         if kind in ("double", "float"):
-            return draw.choice(NUMBERS) if kind == "double" else draw.choice((0.0, 1.5, float("nan")))
+            return (
+                draw.choice(NUMBERS)
+                if kind == "double"
+                else draw.choice((0.0, 1.5, float("nan")))
+            )
         if kind in ("string", "wstring"):
             return draw.choice(TEXTS)
         if kind == "boolean":
@@ -133,9 +149,13 @@ class Nonsense:
             return bytes([draw.choice((0, 1, 2, 3, 4, 255))])
         bits = int("".join(filter(str.isdigit, kind)) or 8)
         signed = kind.startswith("int")
-        low, high = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
+        low, high = (
+            (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
+        )
         small = (0, 1, 2, 3, 7, 60, 255, 1000, -1, -5)
-        return draw.choice((low, high, high - 1, *(v for v in small if low <= v <= high)))
+        return draw.choice(
+            (low, high, high - 1, *(v for v in small if low <= v <= high))
+        )
 
 
 DAMAGES: tuple[Callable[[Nonsense, Any, bytearray], bytes], ...] = (

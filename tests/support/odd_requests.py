@@ -5,7 +5,19 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator
 
-METHODS = ("GET", "GET", "GET", "HEAD", "POST", "OPTIONS", "PUT", "TRACE", "get", "\x16\x03", "")
+METHODS = (
+    "GET",
+    "GET",
+    "GET",
+    "HEAD",
+    "POST",
+    "OPTIONS",
+    "PUT",
+    "TRACE",
+    "get",
+    "\x16\x03",
+    "",
+)
 PATHS = (
     "/", "/ws", "/metadata", "/autoload.js", "/static/js/bokeh.min.js", "/favicon.ico", "*", "", "//", "/..",
     "/static/js/%00", "/static/%2e%2e/%2e%2e/etc/passwd", "/static/extensions/x", "/static//etc/passwd",

@@ -6,7 +6,18 @@ import random
 from collections.abc import Iterator
 from typing import Any, Final
 
-NUMBERS: Final = (float("nan"), float("inf"), -float("inf"), 1e-320, -1e-320, 1e308, -1e308, 1e12, -1.0, 0.0)
+NUMBERS: Final = (
+    float("nan"),
+    float("inf"),
+    -float("inf"),
+    1e-320,
+    -1e-320,
+    1e308,
+    -1e308,
+    1e12,
+    -1.0,
+    0.0,
+)
 COUNTS: Final = (0, 1, 2**31, 2**32 - 1)
 INDICES: Final = (0, 1, 2**53, 2**64 - 1)
 TEXTS: Final = (
@@ -28,7 +39,13 @@ def odd_values(kind: Any, seed: int, count: int) -> Iterator[Any]:
     draw = random.Random(seed)
     fields = kind.Request.get_fields_and_field_types()
     for _ in range(count):
-        yield kind.Request(**{name: _value(draw, text) for name, text in fields.items() if "/" not in text})
+        yield kind.Request(
+            **{
+                name: _value(draw, text)
+                for name, text in fields.items()
+                if "/" not in text
+            }
+        )
 
 
 def _value(draw: random.Random, kind: str) -> Any:

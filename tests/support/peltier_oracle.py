@@ -21,13 +21,19 @@ def seebeck_at(rig: Values, temperature: float) -> float:
 def free_current(rig: Values, pwm: float, plate: float, sink: float) -> float:
     """Current if there were no limiter, A: the Seebeck voltage is the integral of α over temperature."""
     voltage = (seebeck_at(rig, plate) + seebeck_at(rig, sink)) / 2 * (sink - plate)
-    return (-rig["supply"] * pwm / 255.0 - voltage) / (rig["resistance"] + rig["bridge_resistance"])
+    return (-rig["supply"] * pwm / 255.0 - voltage) / (
+        rig["resistance"] + rig["bridge_resistance"]
+    )
 
 
 def ripple(rig: Values, pwm: float) -> float:
     """Mean square of the current's swing: it is +V/R_loop higher for a share `duty` of the time."""
     duty = abs(pwm) / 255.0
-    swing = duty * (1 - duty) * (rig["supply"] / (rig["resistance"] + rig["bridge_resistance"])) ** 2
+    swing = (
+        duty
+        * (1 - duty)
+        * (rig["supply"] / (rig["resistance"] + rig["bridge_resistance"])) ** 2
+    )
     return rig["drive_ripple"] * swing
 
 
@@ -47,11 +53,19 @@ def integrated(rig: Values, start: np.ndarray, pwm: float, period: float) -> np.
         # Thomson heat: the integral of T·dα/dT from plate to sink, half of it taken from either side.
         thomson = rig.get("seebeck_slope", 0.0) * (sink**2 - plate**2) / 2 * current / 2
         conducted = rig["conductance"] * (plate - sink)
-        from_plate = seebeck_at(rig, plate) * plate * current - joule + conducted + thomson
-        from_sink = -seebeck_at(rig, sink) * sink * current - joule - conducted + thomson
+        from_plate = (
+            seebeck_at(rig, plate) * plate * current - joule + conducted + thomson
+        )
+        from_sink = (
+            -seebeck_at(rig, sink) * sink * current - joule - conducted + thomson
+        )
         lost = rig.get("sink_convection", 0.0) * (sink - rig["ambient"])
         sensor_rate = (plate - sensor) / lag if lag else 0.0
-        return [-from_plate / rig["heat_capacity"], -(from_sink + lost) / mass, sensor_rate]
+        return [
+            -from_plate / rig["heat_capacity"],
+            -(from_sink + lost) / mass,
+            sensor_rate,
+        ]
 
     def upper(_t: float, state: np.ndarray, _regime: int) -> float:
         return free_current(rig, pwm, state[0], state[1]) - limit
@@ -68,7 +82,14 @@ def integrated(rig: Values, start: np.ndarray, pwm: float, period: float) -> np.
         # From a threshold the first event is the departure itself: watch only the others.
         watch = [f for f in (upper, lower) if abs(f(0.0, state, 0)) > 1e-9]
         run = solve_ivp(
-            rates, (elapsed, period), state, "DOP853", rtol=1e-12, atol=1e-12, events=watch, args=(regime,)
+            rates,
+            (elapsed, period),
+            state,
+            "DOP853",
+            rtol=1e-12,
+            atol=1e-12,
+            events=watch,
+            args=(regime,),
         )
         elapsed = float(run.t[-1])
         state = run.y[:, -1]
@@ -92,7 +113,9 @@ def riccati_flow(quadratic: float, slope: float, speed: float, time: float) -> f
     return 2.0 * speed * sine / (math.cos(angle) - slope * sine)
 
 
-def riccati_arrival(quadratic: float, slope: float, speed: float, distance: float) -> float:
+def riccati_arrival(
+    quadratic: float, slope: float, speed: float, distance: float
+) -> float:
     """When the same solution reaches `distance`, s: 0 if it lies behind, infinite if it is never reached."""
     ratio = distance / speed
     if not ratio > 0.0:
@@ -116,7 +139,9 @@ def closed_tick(rig: Values, plate: float, pwm: float, period: float) -> float:
     With x = T_A − T_B the plate follows C·dx/dt = −α·T_A·I + ½I²R − K·x, a Riccati equation with constant
     coefficients while the limiter rests and a linear one while it acts; x is monotone over a tick.
     """
-    a, r, k, c = (rig[name] for name in ("seebeck", "resistance", "conductance", "heat_capacity"))
+    a, r, k, c = (
+        rig[name] for name in ("seebeck", "resistance", "conductance", "heat_capacity")
+    )
     sink = rig["ambient"]
     limit = rig["current_limit"]
     total = r + rig["bridge_resistance"]
@@ -139,7 +164,10 @@ def closed_tick(rig: Values, plate: float, pwm: float, period: float) -> float:
             limited_current = regime * limit
             quadratic = 0.0
             slope = -(a * limited_current + k) / c
-            speed = slope * x + (limited_current * (0.5 * r * limited_current - a * sink) + heat) / c
+            speed = (
+                slope * x
+                + (limited_current * (0.5 * r * limited_current - a * sink) + heat) / c
+            )
         if speed == 0.0:
             break
         direction = 1 if speed > 0.0 else -1

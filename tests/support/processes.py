@@ -53,7 +53,11 @@ class Process:
         start is imports.
         """
         self.output = output
-        variables = {**os.environ, "PYTHONUNBUFFERED": "1"} if environment is None else environment
+        variables = (
+            {**os.environ, "PYTHONUNBUFFERED": "1"}
+            if environment is None
+            else environment
+        )
         self.killed = False
         """Whether the test has killed it, so that its exit code says nothing."""
         words = [str(word) for word in command]
@@ -62,7 +66,11 @@ class Process:
             if forked:
                 launcher = [str(LAUNCHED)] if launches_others(words[1:]) else []
                 self._process = fork_server().start(
-                    *launcher, *words[1:], output=stream.fileno(), environment=variables, folder=folder
+                    *launcher,
+                    *words[1:],
+                    output=stream.fileno(),
+                    environment=variables,
+                    folder=folder,
                 )
                 return
             self._process = subprocess.Popen(
@@ -90,13 +98,17 @@ class Process:
     @property
     def json(self) -> list[Any]:
         """The whole lines that are JSON, as they came."""
-        lines = (line for line in self.text.splitlines(keepends=True) if line[0] in "[{")
+        lines = (
+            line for line in self.text.splitlines(keepends=True) if line[0] in "[{"
+        )
         return [json.loads(line) for line in lines if line.endswith("\n")]
 
     @property
     def url(self) -> str:
         """The address that a server prints when it can be reached, as this machine reaches it."""
-        return self.said(r"^\w+: ((?:http|ws)://\S+)$")[1].replace("0.0.0.0", "127.0.0.1")
+        return self.said(r"^\w+: ((?:http|ws)://\S+)$")[1].replace(
+            "0.0.0.0", "127.0.0.1"
+        )
 
     @property
     def running(self) -> bool:
@@ -111,15 +123,21 @@ class Process:
     def children_of(process: int) -> list[int]:
         """Process ids of what a process has started."""
         threads = Path(f"/proc/{process}/task").glob("*/children")
-        return [int(child) for thread in threads for child in thread.read_text().split()]
+        return [
+            int(child) for thread in threads for child in thread.read_text().split()
+        ]
 
-    def wait_until(self, condition: Callable[[], T], what: str, patience: float = PATIENCE) -> T:
+    def wait_until(
+        self, condition: Callable[[], T], what: str, patience: float = PATIENCE
+    ) -> T:
         """Wait for something that comes while it runs; the test fails at once if it has ended before."""
 
         def look() -> T | None:
             running = self.running
             outcome = condition()
-            assert outcome or running, f"ended with {self._process.returncode} before {what}:\n{self.text}"
+            assert outcome or running, (
+                f"ended with {self._process.returncode} before {what}:\n{self.text}"
+            )
             return outcome
 
         return wait_for(look, lambda: f"{what}:\n{self.text}", patience=patience)  # type: ignore[return-value]
@@ -128,9 +146,18 @@ class Process:
         """Wait for a whole line in which the pattern is found."""
 
         def look() -> re.Match[str] | None:
-            whole = (line for line in self.text.splitlines(keepends=True) if line.endswith("\n"))
+            whole = (
+                line
+                for line in self.text.splitlines(keepends=True)
+                if line.endswith("\n")
+            )
             return next(
-                (matched for line in whole if (matched := re.search(pattern, line.rstrip("\n")))), None
+                (
+                    matched
+                    for line in whole
+                    if (matched := re.search(pattern, line.rstrip("\n")))
+                ),
+                None,
             )
 
         line_match = self.wait_until(look, f"a line with {pattern!r}", patience)
@@ -142,7 +169,9 @@ class Process:
         try:
             return self._process.wait(patience)
         except subprocess.TimeoutExpired:
-            raise AssertionError(f"still running after {patience:g} s:\n{self.text}") from None
+            raise AssertionError(
+                f"still running after {patience:g} s:\n{self.text}"
+            ) from None
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal if it still runs."""
@@ -189,7 +218,9 @@ def kill_once_it_says(word: str, program: str, folder: Path) -> None:
     """Run a Python program, which is given a folder, and kill it when it has printed a line with a word."""
     script = folder.with_suffix(".py")
     script.write_text(textwrap.dedent(program))
-    process = Process(sys.executable, script, folder, output=folder.with_suffix(".txt"), forked=True)
+    process = Process(
+        sys.executable, script, folder, output=folder.with_suffix(".txt"), forked=True
+    )
     try:
         process.said(word)
     finally:
@@ -203,24 +234,35 @@ Start = Callable[..., Process]
 class Processes:
     """The processes of a fixture, which end with it."""
 
-    def __init__(self, folder: Path, environment: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self, folder: Path, environment: Mapping[str, str] | None = None
+    ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
         self._environment = environment
         self._started: list[Process] = []
 
     def start(
-        self, *command: object, environment: Mapping[str, str] | None = None, **settings: Any
+        self,
+        *command: object,
+        environment: Mapping[str, str] | None = None,
+        **settings: Any,
     ) -> Process:
         """Start a program; what it is given by name replaces what all have."""
         output = self._folder / f"{len(self._started)}.txt"
         variables = self._environment if environment is None else environment
-        self._started.append(Process(*command, output=output, environment=variables, **settings))
+        self._started.append(
+            Process(*command, output=output, environment=variables, **settings)
+        )
         return self._started[-1]
 
     def python(self, *words: object, **settings: Any) -> Process:
         """Start a Python program: `python("-m", "twinmatch.cli", "--version")`; our own are forked."""
-        ours = str(words[1]).startswith("twinmatch.") if words[0] == "-m" else words[0] in OUR_SCRIPTS
+        ours = (
+            str(words[1]).startswith("twinmatch.")
+            if words[0] == "-m"
+            else words[0] in OUR_SCRIPTS
+        )
         return self.start(sys.executable, *words, forked=ours, **settings)
 
     def end(self, number: signal.Signals = signal.SIGTERM) -> list[tuple[int, str]]:
@@ -247,7 +289,11 @@ def no_plant_files() -> Iterator[None]:
     """Forget the plant files that this process has loaded, and know them again afterwards."""
     tables: list[dict[Any, Any]] = [files._BY_FILE, files._BY_NAME, files._WRITTEN]
     copies = [dict(table) for table in tables]
-    modules = {name: module for name, module in sys.modules.items() if name.startswith(files._MODULES)}
+    modules = {
+        name: module
+        for name, module in sys.modules.items()
+        if name.startswith(files._MODULES)
+    }
     for table in tables:
         table.clear()
     try:
@@ -259,7 +305,9 @@ def no_plant_files() -> Iterator[None]:
         sys.modules.update(modules)
 
 
-def run_twinmatch(*arguments: object, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+def run_twinmatch(
+    *arguments: object, folder: Path | None = None
+) -> subprocess.CompletedProcess[str]:
     """Run a command to its end in this process, in a folder: what it prints, and its exit code.
 
     Like a new process, it knows no plant file that another command has loaded.

@@ -11,7 +11,14 @@ from rclpy.serialization import serialize_message
 
 from tests.support.waiting import wait_for
 from twinmatch.nodes.messages import message_of
-from twinmatch.sessions import Qos, Session, SessionError, SessionWriter, Topic, read_session
+from twinmatch.sessions import (
+    Qos,
+    Session,
+    SessionError,
+    SessionWriter,
+    Topic,
+    read_session,
+)
 from twinmatch.sessions.cdr import encode_sample
 from twinmatch.sessions.messages import SAMPLE, schema_of
 from twinmatch.sessions.metadata import CANDIDATES, parameters_record
@@ -47,13 +54,19 @@ def write_judged(
     """
     outcomes = list(outcomes)
     stamps = stamps or {sample.index: sample.stamp for sample in samples}
-    matches = [message_of(o.match, stamps[o.match.sample]) for o in outcomes if o.match is not None]
+    matches = [
+        message_of(o.match, stamps[o.match.sample])
+        for o in outcomes
+        if o.match is not None
+    ]
     scores = [message_of(v, stamps[v.sample]) for o in outcomes for v in o.verdicts]
     change(matches, scores)
     entries = {name: json.dumps(value) for name, value in values.items()}
     with SessionWriter(folder) as writer:
         for node in nodes:
-            writer.add_record(parameters_record(node), {**entries, "use_sim_time": "false"})
+            writer.add_record(
+                parameters_record(node), {**entries, "use_sim_time": "false"}
+            )
         if family is not None:
             writer.add_record(CANDIDATES, {"text": family})
         for topic in (SAMPLE, SCORE, MATCH):
@@ -80,7 +93,8 @@ def wait_for_recorded(folder: Path, **counts: int) -> None:
     def enough() -> bool:
         session = written(folder)
         return session is not None and all(
-            session.counts.get(f"/{name.replace('__', '/')}", 0) >= count for name, count in counts.items()
+            session.counts.get(f"/{name.replace('__', '/')}", 0) >= count
+            for name, count in counts.items()
         )
 
     wait_for(enough, lambda: str(written(folder)))

@@ -13,7 +13,9 @@ def kit_rows(folder: str, name: str) -> list[dict[str, float]]:
     """The rows of a table by their titles; skips the test if it is not here."""
     path = OTHERS / folder / f"{name}.csv"
     if not path.is_file():
-        pytest.skip(f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings")
+        pytest.skip(
+            f"no {path}; set TWINMATCH_PLANT_RECORDINGS to the folder of other plants' recordings"
+        )
     with path.open(encoding="utf-8") as table:
         rows = list(csv.DictReader(table))
     return [numbers_of(row) for row in rows]

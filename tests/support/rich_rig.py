@@ -25,10 +25,17 @@ RIG = rig(
 
 def recorded(parameters: Parameters, seed: int, first: int = 0) -> Window:
     """A thousand samples of a rig on its way through five set-points, seen through its camera."""
-    window = run(parameters, np.repeat([30.0, 50.0, 70.0, 40.0, 60.0], 200), start=25.0, seed=seed)
+    window = run(
+        parameters,
+        np.repeat([30.0, 50.0, 70.0, 40.0, 60.0], 200),
+        start=25.0,
+        seed=seed,
+    )
     return replace(window, first=first)
 
 
 def apart(first: Parameters, second: Parameters) -> float:
     """The ν-gap between two plants at 30, 50 and 70 °C."""
-    return plant_gap(first, second, (30.0, 50.0, 70.0), LoopConditions(GAINS, spans_of(Peltier)))
+    return plant_gap(
+        first, second, (30.0, 50.0, 70.0), LoopConditions(GAINS, spans_of(Peltier))
+    )

@@ -21,7 +21,11 @@ def rig(structure: str | None = None, **values: float) -> Parameters:
 
 
 def run(
-    parameters: Parameters, reference: ArrayLike, *, start: float = 22.85, seed: int | None = None
+    parameters: Parameters,
+    reference: ArrayLike,
+    *,
+    start: float = 22.85,
+    seed: int | None = None,
 ) -> Window:
     """The rig in its loop, from rest at `start`, °C; seen through its camera if there is a seed."""
     levels = np.array(reference, dtype=np.float64)

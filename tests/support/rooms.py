@@ -7,7 +7,16 @@ from typing import Final
 import numpy as np
 from scipy.linalg import expm
 
-from twinmatch.dynamics import Disturbance, Drive, Equations, Output, Parameter, Plant, State, Structure
+from twinmatch.dynamics import (
+    Disturbance,
+    Drive,
+    Equations,
+    Output,
+    Parameter,
+    Plant,
+    State,
+    Structure,
+)
 from twinmatch.signals import Window
 from twinmatch.twin import MatchRequest, TwinSettings, carry_out
 
@@ -29,7 +38,10 @@ class Room(Plant, name="room"):
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
         """One energy balance."""
         return Equations(
-            rates={self.inner: (self.outside + self.gain * self.heating - self.inner) / self.lag},
+            rates={
+                self.inner: (self.outside + self.gain * self.heating - self.inner)
+                / self.lag
+            },
             output=self.inner,
             start={self.inner: self.air},
         )
@@ -38,7 +50,9 @@ class Room(Plant, name="room"):
 SETTINGS = TwinSettings.of(Room, period=PERIOD, law=None)
 
 
-def recorded_room(seed: int, stores: int, period: float = PERIOD, free: float = 0.0) -> Window:
+def recorded_room(
+    seed: int, stores: int, period: float = PERIOD, free: float = 0.0
+) -> Window:
     """Twelve days of a room; the second store is a heated floor or heavy walls, the third the other one.
 
     `free`: heat that no file knows of, of people and the sun, kW: as much as on a bright day at noon.
@@ -49,7 +63,9 @@ def recorded_room(seed: int, stores: int, period: float = PERIOD, free: float = 
     hours = np.arange(size) * period / 3600.0
     wander = np.cumsum(random.normal(0.0, 0.15 / rows_per_period**0.5, size))
     outside = 5.0 + 4.0 * np.sin(2 * np.pi * hours / 24.0) + wander
-    levels = random.uniform(0.0, 5.0, _SIZE // 6) * (random.uniform(size=_SIZE // 6) < 0.7)
+    levels = random.uniform(0.0, 5.0, _SIZE // 6) * (
+        random.uniform(size=_SIZE // 6) < 0.7
+    )
     heating = np.repeat(levels, 6 * rows_per_period)
     store = random.uniform(2.0, 6.0)  # kWh/K
     loss = random.uniform(0.1, 0.25)  # kW/K
@@ -62,7 +78,14 @@ def recorded_room(seed: int, stores: int, period: float = PERIOD, free: float = 
     to_floor = has_floor * to_floor
     to_walls = has_walls * to_walls
     rates = np.zeros((6, 6))  # air, floor, walls; heating, outside, what else heats
-    rates[0] = [-(loss + to_floor + to_walls), to_floor, to_walls, not has_floor, loss, 1.0]
+    rates[0] = [
+        -(loss + to_floor + to_walls),
+        to_floor,
+        to_walls,
+        not has_floor,
+        loss,
+        1.0,
+    ]
     rates[1] = [to_floor, -to_floor, 0.0, has_floor, 0.0, 0.0]
     rates[2] = [to_walls, 0.0, -to_walls, 0.0, 0.0, 0.0]
     rates[:3] /= np.array([[store], [floor], [walls]])
@@ -84,7 +107,9 @@ def recorded_room(seed: int, stores: int, period: float = PERIOD, free: float = 
 def judged_room(seed: int, stores: int) -> str:
     """The reason of the match of such a room to the plant file with one store."""
     window = recorded_room(seed, stores)
-    return carry_out(MatchRequest(window.last, 20.0, window, SETTINGS.start, None), SETTINGS).match.reason
+    return carry_out(
+        MatchRequest(window.last, 20.0, window, SETTINGS.start, None), SETTINGS
+    ).match.reason
 
 
 _STATES: Final = {"floor": "slab", "walls": "shell"}
@@ -97,7 +122,9 @@ def _air_beside(*stores: str) -> Structure:
     for store in stores:
         free += [store, f"to_{store}"]
     states = [_STATES[store] for store in stores]
-    return Structure(free=tuple(free), parts=frozenset(stores), free_starts=tuple(states))
+    return Structure(
+        free=tuple(free), parts=frozenset(stores), free_starts=tuple(states)
+    )
 
 
 class StoredRoom(Plant, name="stored_room"):
@@ -140,4 +167,6 @@ class StoredRoom(Plant, name="stored_room"):
             lost = lost + to_walls
             rates[self.shell] = to_walls / self.walls / 3600.0
         rates[self.inner] = -lost / self.store / 3600.0
-        return Equations(rates=rates, output=self.inner, start=dict.fromkeys(rates, self.air))
+        return Equations(
+            rates=rates, output=self.inner, start=dict.fromkeys(rates, self.air)
+        )

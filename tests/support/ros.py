@@ -51,7 +51,9 @@ class Listener:
 
     def reports(self, name: str = "") -> list[DiagnosticStatus]:
         """Those of a node's task, such as `player: health`; of all if none is named."""
-        return [s for message in self.health for s in message.status if name in ("", s.name)]
+        return [
+            s for message in self.health for s in message.status if name in ("", s.name)
+        ]
 
     def said(self, words: str) -> bool:
         """Whether a report has these words."""
@@ -59,7 +61,12 @@ class Listener:
 
     def values(self, key: str) -> list[str]:
         """What was reported under a key."""
-        return [entry.value for status in self.reports() for entry in status.values if entry.key == key]
+        return [
+            entry.value
+            for status in self.reports()
+            for entry in status.values
+            if entry.key == key
+        ]
 
     @cached_property
     def samples(self) -> Publisher:
@@ -81,7 +88,10 @@ class Listener:
         self.spin_until(are_there, "the nodes")
 
     def spin_until(
-        self, condition: Callable[[], T], what: str | Callable[[], str], patience: float = PATIENCE
+        self,
+        condition: Callable[[], T],
+        what: str | Callable[[], str],
+        patience: float = PATIENCE,
     ) -> T:
         """Take what comes until something holds."""
         return wait_for(condition, what, patience=patience, meanwhile=self.spin_once)
@@ -110,7 +120,9 @@ def listening() -> Iterator[Listener]:
 class Inside:
     """A program of nodes in the test's own process, with what a test asks of a process of its own."""
 
-    def __init__(self, name: str, *ros_arguments: str, kinds: Sequence[type[TwinmatchNode]] = ()) -> None:
+    def __init__(
+        self, name: str, *ros_arguments: str, kinds: Sequence[type[TwinmatchNode]] = ()
+    ) -> None:
         """Start it with ROS arguments; a mistake in them ends it as it would end the program.
 
         The program is that of `twinmatch.nodes` of this name, or these kinds of nodes.
@@ -123,7 +135,9 @@ class Inside:
         self._code = 0
         self._nodes = Nodes(Context())
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._guarded, args=(self._spin,), daemon=True)
+        self._thread = threading.Thread(
+            target=self._guarded, args=(self._spin,), daemon=True
+        )
         if not kinds:
             kinds = nodes_of(name)
         arguments = [name, *(["--ros-args", *ros_arguments] if ros_arguments else [])]

@@ -36,7 +36,9 @@ class Servo(Plant, name="servo"):
     dry = Parameter(unit="deg/s^2", default=500.0, bounds=(0.0, 20000.0), least=0.0)
     soft = Parameter(unit="deg/s", default=10.0, bounds=(1.0, 100.0), positive=True)
     structures = {  # noqa: RUF012
-        "with friction": Structure(free=("k", "t", "dry"), parts=frozenset({"friction"})),
+        "with friction": Structure(
+            free=("k", "t", "dry"), parts=frozenset({"friction"})
+        ),
         "free": Structure(free=("k", "t")),
     }
 
@@ -62,4 +64,6 @@ def turns(truth: Parameters, samples: int, seed: int = 5) -> Window:
         u[row : row + hold] = rng.choice(levels)
         row += hold
     run = simulate_driven(truth, u, states=begin(truth, 0.0), period=PERIOD)
-    return Window(np.zeros(samples), 0.18 * np.round(run.output / 0.18), u, period=PERIOD)
+    return Window(
+        np.zeros(samples), 0.18 * np.round(run.output / 0.18), u, period=PERIOD
+    )

@@ -20,7 +20,9 @@ def exchange(url: str, request: bytes, patience: float = 10.0) -> bytes:
     """What a server answers to these bytes, with nothing after them, until it closes or has sent a page."""
     place = urlsplit(url)
     answer = b""
-    with socket.create_connection((place.hostname, place.port), timeout=patience) as connection:
+    with socket.create_connection(
+        (place.hostname, place.port), timeout=patience
+    ) as connection:
         with suppress(OSError):  # it may have closed already
             connection.sendall(request)
             connection.shutdown(socket.SHUT_WR)
@@ -30,7 +32,9 @@ def exchange(url: str, request: bytes, patience: float = 10.0) -> bytes:
     return answer
 
 
-def ask(url: str, path: str = "/", *headers: str, host: str | None = None) -> tuple[int, str]:
+def ask(
+    url: str, path: str = "/", *headers: str, host: str | None = None
+) -> tuple[int, str]:
     """Status and text of the answer to a GET, under a host name of one's own choice.
 
     A websocket is closed as soon as it is open.
@@ -39,7 +43,9 @@ def ask(url: str, path: str = "/", *headers: str, host: str | None = None) -> tu
     named = f"{place.hostname}:{place.port}" if host is None else host
     lines = (f"GET {path} HTTP/1.1", f"Host: {named}", *headers)
     asked = ("\r\n".join(lines) + "\r\n\r\n").encode()
-    with socket.create_connection((place.hostname, place.port), timeout=10.0) as connection:
+    with socket.create_connection(
+        (place.hostname, place.port), timeout=10.0
+    ) as connection:
         connection.sendall(asked)
         answer = b""
         while b"\r\n\r\n" not in answer:

@@ -13,7 +13,9 @@ from twinmatch.signals import Sample
 def quarter_of_an_hour() -> list[Sample]:
     """920 samples: a set-point step that shows nothing, then two that do."""
     reference = np.repeat([25.0, 40.0, 60.0, 45.0], [60, 300, 300, 260])
-    window = run(rig(seebeck=0.08, conductance=0.4, heat_capacity=30.0), reference, seed=7)
+    window = run(
+        rig(seebeck=0.08, conductance=0.4, heat_capacity=30.0), reference, seed=7
+    )
     return samples_of(window)
 
 

@@ -39,7 +39,9 @@ def clean() -> tuple[Sample, ...]:
     run = simulate_driven(true, u, states=begin(true, 30.0))
     y = run.output + np.random.default_rng(1).normal(0.0, 0.1, u.size)
     rooms = np.full((u.size, 1), 20.0)
-    return tuple(samples_of(Window(np.zeros(u.size), y, u, disturbances=rooms, period=1.0)))
+    return tuple(
+        samples_of(Window(np.zeros(u.size), y, u, disturbances=rooms, period=1.0))
+    )
 
 
 def spiked(lost: Container[int] = ()) -> list[Sample]:

@@ -7,7 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 from tests.support.rig import rig
-from twinmatch.comparing import CandidateScore, ForecastScore, OrderScore, TrustLevel, Verdict
+from twinmatch.comparing import (
+    CandidateScore,
+    ForecastScore,
+    OrderScore,
+    TrustLevel,
+    Verdict,
+)
 from twinmatch.comparing.criteria import Criteria
 
 CRITERIA = Criteria(1000, 400, 600, 0.6, 1.5, 900.0, 40.0)
@@ -17,7 +23,10 @@ CANDIDATE = CandidateScore(
     parameters=rig(seebeck=0.06),
     first=0,
     last=299,
-    orders=tuple(OrderScore(o, CRITERIA, CRITERIA, CRITERIA + CRITERIA) for o in ("22221", "33331")),
+    orders=tuple(
+        OrderScore(o, CRITERIA, CRITERIA, CRITERIA + CRITERIA)
+        for o in ("22221", "33331")
+    ),
     chosen_order="22221",
     nu_gap_sum=0.25,
     newest=None,
@@ -25,14 +34,29 @@ CANDIDATE = CandidateScore(
 )
 
 
-def verdict(level: TrustLevel, sample: int = 300, *, nominal: str | None = "50 °C", **more: Any) -> Verdict:
+def verdict(
+    level: TrustLevel, sample: int = 300, *, nominal: str | None = "50 °C", **more: Any
+) -> Verdict:
     """A verdict that repeats the one before, unless more is said of it."""
     has_nominal = nominal is not None
     usual: dict[str, Any] = {
-        **{"sample": sample, "first": 0, "last": sample - 1, "level": level, "stands": True},
-        **{"nominal": nominal, "order": "22221" if has_nominal else None, "reason": "because", "decimals": 2},
+        **{
+            "sample": sample,
+            "first": 0,
+            "last": sample - 1,
+            "level": level,
+            "stands": True,
+        },
+        **{
+            "nominal": nominal,
+            "order": "22221" if has_nominal else None,
+            "reason": "because",
+            "decimals": 2,
+        },
         "level_reason": f"it is {level.value}",
-        "candidates": (replace(CANDIDATE, name=nominal),) if nominal is not None else (),
+        "candidates": (replace(CANDIDATE, name=nominal),)
+        if nominal is not None
+        else (),
         "nu_gap": ((0.0,),) if has_nominal else (),
         "driven_rms_y": 0.5 if has_nominal else math.nan,
         "closed_rms_u": 7.0 if has_nominal else math.nan,

@@ -60,7 +60,12 @@ def _without_courses(detector: ChangeDetector, memo: dict[int, Any]) -> ChangeDe
     would share."""
     copy = object.__new__(ChangeDetector)
     memo[id(detector)] = copy
-    copy.__dict__.update({k: {} if k == "_courses" else deepcopy(v, memo) for k, v in vars(detector).items()})
+    copy.__dict__.update(
+        {
+            k: {} if k == "_courses" else deepcopy(v, memo)
+            for k, v in vars(detector).items()
+        }
+    )
     return copy
 
 
@@ -69,7 +74,7 @@ def _sharing() -> Iterator[None]:
     ways: dict[type, Any] = dict.fromkeys(_SHARED, lambda self, _memo: self)
     ways[ChangeDetector] = _without_courses
     for kind, way in ways.items():
-        setattr(kind, "__deepcopy__", way)  # noqa: B010 (mypy knows no such method)
+        setattr(kind, "__deepcopy__", way)  # noqa: B010
     try:
         yield
     finally:

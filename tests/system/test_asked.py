@@ -12,7 +12,9 @@ from typing import Any
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
 
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
@@ -22,7 +24,7 @@ from tests.support.processes import Processes
 from tests.support.rig import GAINS
 from tests.support.ros import Listener, listening
 from tests.support.signed import SECRET, signed
-from tests.system.test_live import LiveRun, live_run  # noqa: F401 — a fixture
+from tests.system.test_live import LiveRun, live_run  # noqa: F401
 from twinmatch.nodes.topics import EVERYTHING, LATCHED
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs.srv import ApplyLaw, Experiment, TryLaw
@@ -43,25 +45,40 @@ class Graph:
 
     def __init__(self, listener: Listener) -> None:
         self.listener = listener
-        self.samples: list[Any] = listener.hear(messages.LoopSample, "plant/sample", EVERYTHING)
+        self.samples: list[Any] = listener.hear(
+            messages.LoopSample, "plant/sample", EVERYTHING
+        )
         self.twin = listener.hear(messages.LawReport, "twin/law", EVERYTHING)
         self.laws = listener.hear(messages.LawReport, "plant/law", LATCHED)
-        self.courses = listener.hear(messages.ExperimentReport, "twin/experiment", EVERYTHING)
+        self.courses = listener.hear(
+            messages.ExperimentReport, "twin/experiment", EVERYTHING
+        )
         self.apply = Operator(listener, ApplyLaw, "plant/apply_law")
         self.ask_law = Operator(listener, TryLaw, "twin/try_law")
         self.experiment = Operator(listener, Experiment, "twin/experiment")
-        self._set = Operator(listener, SetParametersAtomically, "controller/set_parameters_atomically")
+        self._set = Operator(
+            listener, SetParametersAtomically, "controller/set_parameters_atomically"
+        )
 
     def hold(self, level: float) -> None:
         """Have the controller hold a set-point."""
-        course = {"course.levels": [level], "course.holds": [1.0], "course.followed": True}
-        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in course.items()]
+        course = {
+            "course.levels": [level],
+            "course.holds": [1.0],
+            "course.followed": True,
+        }
+        parameters = [
+            Parameter(name, value=value).to_parameter_msg()
+            for name, value in course.items()
+        ]
         assert self._set(parameters=parameters).result.successful
 
     def pass_samples(self, count: int) -> list[float]:
         """Wait for so many samples; returns their set-points."""
         count_before = len(self.samples)
-        self.listener.spin_until(lambda: len(self.samples) >= count_before + count, f"{count} samples")
+        self.listener.spin_until(
+            lambda: len(self.samples) >= count_before + count, f"{count} samples"
+        )
         return [sample.reference[0] for sample in self.samples[count_before:]]
 
     def answered(self, word: str) -> str:
@@ -70,14 +87,20 @@ class Graph:
         def phase() -> str:
             count_before = len(self.twin)
             if self.ask_law(law=LAW, request=word).success:
-                self.listener.spin_until(lambda: len(self.twin) > count_before, "a report")
+                self.listener.spin_until(
+                    lambda: len(self.twin) > count_before, "a report"
+                )
             return self.twin[-1].phase_name if len(self.twin) > count_before else ""
 
-        self.listener.spin_until(lambda: phase() == "answered", lambda: f"an answer: {self.twin[-1:]}")
+        self.listener.spin_until(
+            lambda: phase() == "answered", lambda: f"an answer: {self.twin[-1:]}"
+        )
         return str(self.twin[-1].decision)
 
 
-@pytest.mark.long("a run that has to learn a twin before experiments and laws are answered, three times")
+@pytest.mark.long(
+    "a run that has to learn a twin before experiments and laws are answered, three times"
+)
 def test_one_thing_moves_the_plant_at_a_time_and_returns_to_where_it_was(
     live_run: Callable[..., LiveRun],  # noqa: F811
     processes: Processes,
@@ -101,12 +124,20 @@ def test_one_thing_moves_the_plant_at_a_time_and_returns_to_where_it_was(
 def returns_from_an_experiment(graph: Graph) -> None:
     """It has its turn from the request on; once it is stopped, the set-point stays where it was before."""
     assert graph.experiment(goal="parameters", run=True, request="course").success
-    assert "an experiment runs, or is being sought" in graph.ask_law(law=LAW, run=True).message
-    running = lambda: [r for r in graph.courses if r.phase_name in {"running", "refused"}]  # noqa: E731
+    assert (
+        "an experiment runs, or is being sought"
+        in graph.ask_law(law=LAW, run=True).message
+    )
+
+    def running() -> list[Any]:
+        return [r for r in graph.courses if r.phase_name in {"running", "refused"}]
+
     graph.listener.spin_until(running, "its start")
     assert running()[0].phase_name == "running", running()[0].reason
     assert graph.experiment(stop=True).success
-    graph.listener.spin_until(lambda: graph.courses[-1].phase_name == "ended", "its end")
+    graph.listener.spin_until(
+        lambda: graph.courses[-1].phase_name == "ended", "its end"
+    )
     assert graph.courses[-1].request == "course"
     assert set(graph.pass_samples(100)[5:]) == {40.0}
 
@@ -131,7 +162,9 @@ def refuses_what_is_forged(graph: Graph) -> None:
     assert not graph.laws, "the law of the configuration drives"
 
 
-def follows_its_own_law(graph: Graph, run: LiveRun, processes: Processes, folder: Path) -> None:
+def follows_its_own_law(
+    graph: Graph, run: LiveRun, processes: Processes, folder: Path
+) -> None:
     """Beside a law on trial nothing else is taken on, and its command knows whose reports are whose."""
     law = folder / "law.json"
     law.write_text(LAW)
@@ -140,11 +173,16 @@ def follows_its_own_law(graph: Graph, run: LiveRun, processes: Processes, folder
         "-m", "twinmatch.cli", "apply", law, "--yes", "--although", "--shadow", "5000"
     )  # longer than this test, however fast its plant is
     command.said("shadow")
-    graph.listener.spin_until(lambda: graph.ask_law(law="{", request="bad").success, "its turn")
+    graph.listener.spin_until(
+        lambda: graph.ask_law(law="{", request="bad").success, "its turn"
+    )
     bad = lambda: [r for r in graph.twin if r.request == "bad"]  # noqa: E731
     graph.listener.spin_until(bad, "its refusal")
     assert "a law is being tried, or is on trial" in graph.experiment(run=True).message
-    assert "a law is being tried, or is on trial" in graph.ask_law(law=LAW, run=True).message
+    assert (
+        "a law is being tried, or is on trial"
+        in graph.ask_law(law=LAW, run=True).message
+    )
     graph.pass_samples(5)
     assert command.running
     rig = run.child("rig")
@@ -154,4 +192,6 @@ def follows_its_own_law(graph: Graph, run: LiveRun, processes: Processes, folder
         assert command.wait() == 1
     finally:
         os.kill(rig, signal.SIGCONT)
-    assert "apply: the controller has said nothing for 5 s; nothing drives" in command.text
+    assert (
+        "apply: the controller has said nothing for 5 s; nothing drives" in command.text
+    )

@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
 
 from tests.support.oven import HOLD, MAP, PERIOD, RIG, oven_file
 from tests.support.places import LAUNCH_SCRIPTS
@@ -37,8 +39,19 @@ def attach(processes: Processes, tmp_path: Path) -> Callable[..., Process]:
     def start(*options: object) -> Process:
         plant = oven_file(tmp_path)
         twin = tmp_path / "twin.yaml"
-        twin.write_text(f"/**:\n  ros__parameters:\n    schedule: {{span: {HOLD}, min_span: 30, lead: 10}}\n")
-        words = ["--plant", plant, "--twin-config", twin, "--period", PERIOD, "--session", tmp_path / "run"]
+        twin.write_text(
+            f"/**:\n  ros__parameters:\n    schedule: {{span: {HOLD}, min_span: 30, lead: 10}}\n"
+        )
+        words = [
+            "--plant",
+            plant,
+            "--twin-config",
+            twin,
+            "--period",
+            PERIOD,
+            "--session",
+            tmp_path / "run",
+        ]
         return processes.python(ATTACH, *words, *options)
 
     return start
@@ -55,7 +68,8 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
     """Killed and started again on the way: windows start over there, and the twin continues."""
     rig = processes.python(RIG, "--period", PERIOD, "--hold", HOLD, "--stamped")
     entries = [
-        e if not e.startswith("output") else "temperature=/oven/temperature:temperature" for e in ENTRIES
+        e if not e.startswith("output") else "temperature=/oven/temperature:temperature"
+        for e in ENTRIES
     ]
     run = attach("--map", *entries)
     with listening() as listener:
@@ -64,7 +78,9 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
         forecasts = listener.hear(Forecast, "twin/forecast", 10)
         requests = listener.hear(MatchRequest, "twin/match_request", 10)
         samples = listener.hear(LoopSample, "plant/sample", EVERYTHING)
-        listener.spin_until(lambda: verdicts and matches and forecasts, lambda: run.text, FIRST)
+        listener.spin_until(
+            lambda: verdicts and matches and forecasts, lambda: run.text, FIRST
+        )
         commanding = listener.node.get_publishers_info_by_topic("/oven/heater")
         assert [info.node_name for info in commanding] == ["oven_rig"]
         rig.kill()
@@ -74,12 +90,18 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
         behind = missed(samples)[0]
         listener.spin_until(lambda: verdicts[-1].sample > behind, lambda: run.text)
         rig.kill()  # what is asked for then is answered before the end
-        run.said(r"twin_simulator: health: no sample for|sampler: health: .*no longer has")
+        run.said(
+            r"twin_simulator: health: no sample for|sampler: health: .*no longer has"
+        )
         listener.spin_until(
-            lambda: {r.sample for r in requests} <= {m.sample for m in matches}, lambda: run.text, FIRST
+            lambda: {r.sample for r in requests} <= {m.sample for m in matches},
+            lambda: run.text,
+            FIRST,
         )
     assert run.end(signal.SIGINT) == 0
-    assert re.search(r"ended: stopped by the operator; \d+ samples, \d+ verdicts", run.text)
+    assert re.search(
+        r"ended: stopped by the operator; \d+ samples, \d+ verdicts", run.text
+    )
     session = read_session(tmp_path / "run")
     assert any("samples are missing there" in note for note in session.notes)
     assert parameters_of(session.records, "/sampler")
@@ -92,7 +114,10 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
     ("options", "words"),
     [
         ((), "map topics to signals with"),
-        (("--map", "output=/t"), "attach: map.input is missing; give its topic and field"),
+        (
+            ("--map", "output=/t"),
+            "attach: map.input is missing; give its topic and field",
+        ),
         (("--map", "outptu=/t"), "has no signal 'outptu'; it has time, output"),
         (("--map", "output=/t", "input=/u", "--plant", "nowhere.py"), "nowhere.py"),
         (("--map", "output=/t", "input=/u", "--session", "."), "exists already"),
@@ -100,7 +125,9 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
         (("--map", "output=/t; gain=2", "input=/u"), "gain: is not a known key"),
     ],
 )
-def test_what_cannot_be_used_is_one_line(options: tuple[str, ...], words: str, tmp_path: Path) -> None:
+def test_what_cannot_be_used_is_one_line(
+    options: tuple[str, ...], words: str, tmp_path: Path
+) -> None:
     completed = run_twinmatch("attach", *options, folder=tmp_path)
     assert completed.returncode == 2
     assert words in completed.stderr

@@ -12,8 +12,12 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
-pytest.importorskip("rosbags", reason="rosbags is not installed; it is in the extra 'bags'")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
+pytest.importorskip(
+    "rosbags", reason="rosbags is not installed; it is in the extra 'bags'"
+)
 
 from tests.support.places import LAUNCH_SCRIPTS, PROJECT
 from tests.support.processes import Process, Processes, run_twinmatch
@@ -21,7 +25,9 @@ from tests.support.waiting import PATIENCE
 from twinmatch.sessions import read_session
 
 PAGE = (PROJECT / "docs" / "attach.md").read_text(encoding="utf-8")
-PROGRAMS = dict(re.findall(r"^```python (\w+\.py)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
+PROGRAMS = dict(
+    re.findall(r"^```python (\w+\.py)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+)
 COMMANDS = [
     line
     for block in re.findall(r"^```sh\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
@@ -34,7 +40,9 @@ def shell(processes: Processes, folder: Path, line: str) -> Process:
     text = line.replace("launch_scripts/", f"{LAUNCH_SCRIPTS}{os.sep}")
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     environment = {**os.environ, "PATH": path, "PYTHONUNBUFFERED": "1"}
-    return processes.start("bash", "-c", f"exec {text}", environment=environment, folder=folder)
+    return processes.start(
+        "bash", "-c", f"exec {text}", environment=environment, folder=folder
+    )
 
 
 def test_the_page_leads_from_a_rig_to_a_verdict_and_through_a_bag(
@@ -46,12 +54,17 @@ def test_the_page_leads_from_a_rig_to_a_verdict_and_through_a_bag(
     rig = processes.python("oven_rig.py", folder=tmp_path)
     attach, verify, list_topics, take, judge = COMMANDS
     run = shell(processes, tmp_path, attach)
-    run.said(r"^ *\d+ +(unknown|usable|doubtful|trusted|unusable|good|faulty)", 4 * PATIENCE)
+    run.said(
+        r"^ *\d+ +(unknown|usable|doubtful|trusted|unusable|good|faulty)", 4 * PATIENCE
+    )
     assert run.end(signal.SIGINT) == 0
     assert rig.running
-    assert re.search(r"ended: stopped by the operator; \d+ samples, [1-9]\d* verdicts", run.text)
+    assert re.search(
+        r"ended: stopped by the operator; \d+ samples, [1-9]\d* verdicts", run.text
+    )
     recorded = len(read_session(tmp_path / "first").samples)
-    assert recorded >= 30  # half of those before the first verdict: a busy machine loses some of a live rig
+    # half of those before the first verdict: a busy machine loses some of a live rig
+    assert recorded >= 30
     for command, words in (
         (verify, "identical"),
         (list_topics, "/oven/temperature"),

@@ -23,9 +23,17 @@ from twinmatch.sessions.metadata import parameters_of
 from twinmatch.sessions.recording import repair_session
 
 PAGE = (PROJECT / "docs" / "mqtt.md").read_text(encoding="utf-8")
-FILES = dict(re.findall(r"^```(?:python|yaml) (\w+\.\w+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
+FILES = dict(
+    re.findall(
+        r"^```(?:python|yaml) (\w+\.\w+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL
+    )
+)
 BLOCKS = re.findall(r"^```sh\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
-COMMANDS = [line.removeprefix("twinmatch ") for line in "".join(BLOCKS).splitlines() if "pip" not in line]
+COMMANDS = [
+    line.removeprefix("twinmatch ")
+    for line in "".join(BLOCKS).splitlines()
+    if "pip" not in line
+]
 FIRST = 4 * PATIENCE
 HURRY = 0.04
 """Seconds between two steps of the home, and between two samples: a verdict needs hundreds of them."""
@@ -49,7 +57,9 @@ class Home:
         self._processes = processes
         self.broker = RunningBroker(folder / "broker", require("amqtt"))
         for name, text in FILES.items():
-            content = text.replace("mqtt://127.0.0.1", self.broker.url).replace("1883", str(self.broker.port))
+            content = text.replace("mqtt://127.0.0.1", self.broker.url).replace(
+                "1883", str(self.broker.port)
+            )
             content = content.replace("time.sleep(0.1)", f"time.sleep({HURRY})")
             (folder / name).write_text(content, encoding="utf-8")
         self.play()
@@ -61,7 +71,9 @@ class Home:
         """The page's command, in the hurry of its home."""
         words = COMMANDS[1].replace("--dashboard", "--dashboard 0").split()
         program = ["-m", "twinmatch.cli"] if ros else ["-c", WITHOUT_ROS]
-        return self._processes.python(*program, *words, "--period", HURRY, *options, folder=self.folder)
+        return self._processes.python(
+            *program, *words, "--period", HURRY, *options, folder=self.folder
+        )
 
 
 @pytest.fixture
@@ -76,9 +88,14 @@ def samples_in(folder: Path) -> int:
     return len(read_session(folder).samples)
 
 
-def test_the_page_leads_from_a_room_to_a_verdict_without_ros(home: Home, tmp_path: Path) -> None:
+def test_the_page_leads_from_a_room_to_a_verdict_without_ros(
+    home: Home, tmp_path: Path
+) -> None:
     """That all brokers serve it alike is shown below, by the source's own tests."""
-    listed = run_twinmatch(*COMMANDS[0].replace("mqtt://127.0.0.1", home.broker.url).split(), folder=tmp_path)
+    listed = run_twinmatch(
+        *COMMANDS[0].replace("mqtt://127.0.0.1", home.broker.url).split(),
+        folder=tmp_path,
+    )
     assert "ha/climate/living_room/current_temperature  " in listed.stdout
     assert "ha/climate/living_room/hvac_action  'heating'" in listed.stdout
     payloads: dict[str, bytes] = {}
@@ -91,28 +108,39 @@ def test_the_page_leads_from_a_room_to_a_verdict_without_ros(home: Home, tmp_pat
     [address] = re.findall(r"page: (http\S+)", run.text)
     with urllib.request.urlopen(f"{address}metrics") as answer:
         assert 'twinmatch_trust_level{level="unknown"} 1.0' in answer.read().decode()
-    wait_for(lambda: b'"level": "unknown"' in payloads.get("twinmatch/warm_room/state", b""), "the state")
+    wait_for(
+        lambda: b'"level": "unknown"' in payloads.get("twinmatch/warm_room/state", b""),
+        "the state",
+    )
     assert run.end(signal.SIGINT) == 0
     wait_for(lambda: payloads["twinmatch/warm_room/status"] == b"offline", "the status")
     reader.disconnect()
     reader.loop_stop()
     assert re.search(r"ended: \d+ samples, [1-9]\d* verdicts", run.text)
     with no_plant_files():
-        verification = verify_session(tmp_path / "first", plant=str(tmp_path / "room.py"))
+        verification = verify_session(
+            tmp_path / "first", plant=str(tmp_path / "room.py")
+        )
     assert verification.identical, verification.difference
     assert verification.verdicts
 
 
 @pytest.mark.ros
 def test_where_ros_is_installed_the_graph_listens_to_the_broker(home: Home) -> None:
-    pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+    pytest.importorskip(
+        "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+    )
     run = home.attach(ros=True)
     run.said(VERDICT, FIRST)
     home.broker.kill()
-    run.said(r"sampler: health: .*the connection to the broker at 127.0.0.1:\d+ is lost")
+    run.said(
+        r"sampler: health: .*the connection to the broker at 127.0.0.1:\d+ is lost"
+    )
     assert run.end(signal.SIGINT) == 0
     session = read_session(home.folder / "first")
-    assert {"/twin/model_score", "/twin/forecast", "/plant/sample", "/diagnostics"} <= {*session.counts}
+    assert {"/twin/model_score", "/twin/forecast", "/plant/sample", "/diagnostics"} <= {
+        *session.counts
+    }
     assert not session.has_reference, "the thermostat publishes none"
     twin = parameters_of(session.records, "/discriminator")
     assert twin is not None
@@ -130,7 +158,10 @@ def test_a_broker_that_is_gone_is_a_gap_and_a_run_that_is_killed_leaves_a_sessio
     home.broker.start()
     run.said(r"output: there are values again", FIRST)
     folder = home.folder / "first"
-    wait_for(lambda: any(f.stat().st_size > 20_000 for f in folder.glob("*.mcap")), "samples on the disk")
+    wait_for(
+        lambda: any(f.stat().st_size > 20_000 for f in folder.glob("*.mcap")),
+        "samples on the disk",
+    )
     run.kill()
     assert repair_session(folder).messages > 20
     assert samples_in(folder) > 20
@@ -156,13 +187,27 @@ def test_a_full_disk_ends_the_run_and_says_so(home: Home) -> None:
         ),
         (("--source", "mqtt://127.0.0.1", "--map", "output=a"), "map.input is missing"),
         (("--list",), "--list shows a source: give --source URL"),
-        (("--alone", "--map", "output=/t", "input=/u"), "--alone takes no topics of ROS; give --source URL"),
-        (("--source", "mqtt://127.0.0.1", "--tell", "mqtt://h"), "--tell is done by the page"),
+        (
+            ("--alone", "--map", "output=/t", "input=/u"),
+            "--alone takes no topics of ROS; give --source URL",
+        ),
+        (
+            ("--source", "mqtt://127.0.0.1", "--tell", "mqtt://h"),
+            "--tell is done by the page",
+        ),
     ],
 )
-def test_what_cannot_be_used_is_one_line(options: tuple[str, ...], words: str, tmp_path: Path) -> None:
-    mapped = () if "--map" in options or "--list" in options else ("--map", "output=a", "input=b")
-    completed = run_twinmatch("attach", "--alone", "--no-record", *options, *mapped, folder=tmp_path)
+def test_what_cannot_be_used_is_one_line(
+    options: tuple[str, ...], words: str, tmp_path: Path
+) -> None:
+    mapped = (
+        ()
+        if "--map" in options or "--list" in options
+        else ("--map", "output=a", "input=b")
+    )
+    completed = run_twinmatch(
+        "attach", "--alone", "--no-record", *options, *mapped, folder=tmp_path
+    )
     assert completed.returncode == 2
     assert words in completed.stderr
     assert "Traceback" not in completed.stderr
@@ -174,7 +219,9 @@ def test_no_protocol_but_mqtt_needs_its_library(tmp_path: Path) -> None:
         url = f"mqtt://127.0.0.1:{free.getsockname()[1]}"
     words = f"attach --alone --source {url} --map output=a input=b".split()
     output = tmp_path / "said.txt"
-    process = Process(sys.executable, "-c", without("paho"), *words, output=output, folder=tmp_path)
+    process = Process(
+        sys.executable, "-c", without("paho"), *words, output=output, folder=tmp_path
+    )
     assert process.wait() == 2
     assert "mqtt:// needs paho, which is not installed" in process.text
     assert "pip install 'twinmatch[mqtt]'" in process.text

@@ -20,7 +20,9 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
 
 from rclpy.serialization import deserialize_message
 from rclpy.time import Time
@@ -67,8 +69,12 @@ class LiveRun:
             "recorder:\n  ros__parameters:\n    min_free_mb: 1.0\n"
         )
         if board == "python":
-            text = config.read_text().replace("    exit", "    command_period: 0.5\n    exit")
-            config.write_text(f"{text}camera_bridge:\n  ros__parameters:\n    temperature_rate: 5.0\n")
+            text = config.read_text().replace(
+                "    exit", "    command_period: 0.5\n    exit"
+            )
+            config.write_text(
+                f"{text}camera_bridge:\n  ros__parameters:\n    temperature_rate: 5.0\n"
+            )
         words = ("--virtual", "--speed", "max", "--board", board, "--config", config)
         words += ("--session", self.session) if "--session" not in options else ()
         self.process = processes.python(LIVE, *words, *options)
@@ -100,7 +106,10 @@ class LiveRun:
     def child(self, name: str) -> int | None:
         """Process id of a child."""
         for child in self.process.children:
-            if Path(f"/proc/{child}/comm").read_text().strip().replace("-", "_") == name:
+            if (
+                Path(f"/proc/{child}/comm").read_text().strip().replace("-", "_")
+                == name
+            ):
                 return child
         return None
 
@@ -114,7 +123,9 @@ class LiveRun:
         """Kill a process and wait for the one that replaces it."""
         victim = self.shoot(name)
         self.process.said(f"{name} ended with code -9; restarting it")
-        self.wait_until(lambda: self.child(name) not in (None, victim), f"another {name}")
+        self.wait_until(
+            lambda: self.child(name) not in (None, victim), f"another {name}"
+        )
 
 
 @pytest.fixture
@@ -125,7 +136,10 @@ def live_run(processes: Processes, tmp_path: Path) -> Callable[..., LiveRun]:
 @contextmanager
 def busy(loops: int) -> Iterator[None]:
     """Programs beside the run that take all the time of a processor they can get."""
-    started = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(loops)]
+    started = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"])
+        for _ in range(loops)
+    ]
     try:
         yield
     finally:
@@ -146,7 +160,9 @@ def test_a_busy_machine_and_suspended_processes_cost_nothing_but_time(
     camera = Process.children_of(children["virtual_rig"] or 0)
     before = run.state()["time"]
     with busy(2):
-        run.wait_until(lambda: run.state()["time"] >= before + 2, "two seconds of plant time")
+        run.wait_until(
+            lambda: run.state()["time"] >= before + 2, "two seconds of plant time"
+        )
     for victim in (*children.values(), *camera, run.process.id):
         assert victim is not None, children
         os.kill(victim, signal.SIGSTOP)
@@ -160,7 +176,9 @@ def test_a_busy_machine_and_suspended_processes_cost_nothing_but_time(
         assert word not in run.text
     session = read_session(run.session)
     indices = [sample.index for sample in session.samples]
-    assert indices == list(range(170)), "a plant in step misses no tick, however busy the machine"
+    assert indices == list(range(170)), (
+        "a plant in step misses no tick, however busy the machine"
+    )
     verified = verify_session(run.session)
     assert verified.identical, verified.difference
     assert verified.verdicts >= 2
@@ -171,7 +189,12 @@ def test_a_busy_machine_and_suspended_processes_cost_nothing_but_time(
     assert forecast == indices[forecast[0] :]
     assert not control.parent.exists()
     wait_for(
-        lambda: not any(Path(f"/proc/{process_id}").exists() for process_id in (*children.values(), *camera)),
+        lambda: (
+            not any(
+                Path(f"/proc/{process_id}").exists()
+                for process_id in (*children.values(), *camera)
+            )
+        ),
         "their end",
     )
 
@@ -210,7 +233,9 @@ def test_processes_are_restarted_and_without_the_rig_the_output_is_off(
     assert "the output is off" in run.text
     repair_session(run.session)
     indices = [sample.index for sample in read_session(run.session).samples]
-    assert indices == list(range(len(indices))), "the pieces of the run are one session, and it is whole"
+    assert indices == list(range(len(indices))), (
+        "the pieces of the run are one session, and it is whole"
+    )
     assert len(indices) > 3
     assert verify_session(run.session).identical
 
@@ -223,7 +248,9 @@ def forger(listener: Listener, seconds: float) -> Iterator[None]:
 
     def forge() -> None:
         for k in count():
-            published.publish(Clock(clock=Time(nanoseconds=round((seconds + k / 50) * 1e9)).to_msg()))
+            published.publish(
+                Clock(clock=Time(nanoseconds=round((seconds + k / 50) * 1e9)).to_msg())
+            )
             if ended.wait(0.02):
                 return
 
@@ -250,7 +277,9 @@ def forge_samples(listener: Listener) -> int:
         forged.output[0] += 0.1
         listener.samples.publish(forged)
         before = len(heard)
-        listener.spin_until(lambda before=before: len(heard) > before + 1, "the next one")
+        listener.spin_until(
+            lambda before=before: len(heard) > before + 1, "the next one"
+        )
     listener.node.destroy_publisher(listener.samples)
     return int(heard[-1].index)
 
@@ -277,20 +306,31 @@ def test_a_forged_clock_costs_the_drive_until_its_fault_is_cleared_and_forged_sa
             run.process.said("refused: /clock: ")
             listener.spin_until(clearing.service_is_ready, "the bridge")
         listener.spin_until(
-            driven, lambda: f"a driven plate: {run.state()}, {applied[-1:]}, {run.text[-2000:]}"
+            driven,
+            lambda: (
+                f"a driven plate: {run.state()}, {applied[-1:]}, {run.text[-2000:]}"
+            ),
         )
         for seconds in (2e9, 0.0):
             before = run.state()["time"]
             with forger(listener, seconds):
-                run.wait_until(lambda before=before: run.state()["time"] > before + 5.0, "plant time")
+                run.wait_until(
+                    lambda before=before: run.state()["time"] > before + 5.0,
+                    "plant time",
+                )
         run.wait_until(lambda: abs(run.state()["pwm"]) > 5, "a driven plate")
         last = forge_samples(listener)
         wait_for_recorded(run.session, twin__model_score=1)
         assert run.process.end(signal.SIGINT) == 0, run.text
     assert "Traceback" not in run.text
     # Of two samples of one index the twin may take one and the recorder the other.
-    doubted = [note for note in verify_session(run.session).notes if "are doubted" in note]
-    spans = [re.match(r"samples (\d+) to (\d+) are doubted: /plant/sample", note) for note in doubted]
+    doubted = [
+        note for note in verify_session(run.session).notes if "are doubted" in note
+    ]
+    spans = [
+        re.match(r"samples (\d+) to (\d+) are doubted: /plant/sample", note)
+        for note in doubted
+    ]
     assert any(m and int(m[1]) < last and int(m[2]) >= last - 1 for m in spans), doubted
     assert "controller and listener" in " ".join(doubted)
 
@@ -336,7 +376,9 @@ def whole(session: Path) -> int:
 @pytest.mark.long(
     "a whole graph beside a disk that fills up; its parts are tested at the recorder and the launcher"
 )
-def test_a_disk_that_fills_up_ends_the_run(live_run: Callable[..., LiveRun], tmp_path: Path) -> None:
+def test_a_disk_that_fills_up_ends_the_run(
+    live_run: Callable[..., LiveRun], tmp_path: Path
+) -> None:
     with small_disk(tmp_path / "disk", 64_000) as disk:
         run = live_run(disk=disk, ends=False)
         fill_up(run, disk)
@@ -359,7 +401,9 @@ def test_without_a_disk_the_operator_may_drive_on_and_a_camera_whose_readings_fa
         return "output is zero" in run.text
 
     with small_disk(tmp_path / "disk", 64_000) as disk:
-        run = live_run("--fault", "sensor-drifts@80", "--keep-driving", disk=disk, ends=False)
+        run = live_run(
+            "--fault", "sensor-drifts@80", "--keep-driving", disk=disk, ends=False
+        )
         fill_up(run, disk)
         run.process.said("nothing is recorded any longer; the plant is driven on")
         run.process.said("sensor-drifts begins")
@@ -378,12 +422,23 @@ def test_without_a_disk_the_operator_may_drive_on_and_a_camera_whose_readings_fa
     [
         (("--speed", "20"), "need --virtual"),
         (("--virtual", "--session", "."), "exists already"),
-        (("--plant", "tclab", "--port", "/nowhere/ttyACM0"), "kit at /nowhere/ttyACM0: No such file"),
-        (("--plant", "tclab", "--virtual", "--port", "/dev/ttyACM0"), "--port is for a real plant"),
-        (("--plant", "tclab", "--twin-config", "config/twin.yaml"), "is for plant peltier"),
+        (
+            ("--plant", "tclab", "--port", "/nowhere/ttyACM0"),
+            "kit at /nowhere/ttyACM0: No such file",
+        ),
+        (
+            ("--plant", "tclab", "--virtual", "--port", "/dev/ttyACM0"),
+            "--port is for a real plant",
+        ),
+        (
+            ("--plant", "tclab", "--twin-config", "config/twin.yaml"),
+            "is for plant peltier",
+        ),
     ],
 )
-def test_options_that_do_not_fit_are_refused(options: tuple[str, ...], words: str) -> None:
+def test_options_that_do_not_fit_are_refused(
+    options: tuple[str, ...], words: str
+) -> None:
     unrecorded = () if "--session" in options else ("--no-record",)
     result = run_twinmatch("live", *options, *unrecorded, folder=PROJECT)
     assert result.returncode == 2

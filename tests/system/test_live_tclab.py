@@ -12,7 +12,9 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
 pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
 
 from tests.support.places import LAUNCH_SCRIPTS, PROJECT
@@ -40,8 +42,20 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     twin = tmp_path / "twin.yaml"
     session = tmp_path / "run"
     schedule = "{span: 100, min_span: 60, lead: 10}"
-    twin.write_text(f"/**:\n  ros__parameters:\n    plant: tclab\n    schedule: {schedule}\n")
-    words = ("--plant", "tclab", "--virtual", "--speed", "max", "--config", config, "--twin-config", twin)
+    twin.write_text(
+        f"/**:\n  ros__parameters:\n    plant: tclab\n    schedule: {schedule}\n"
+    )
+    words = (
+        "--plant",
+        "tclab",
+        "--virtual",
+        "--speed",
+        "max",
+        "--config",
+        config,
+        "--twin-config",
+        twin,
+    )
     words += ("--session", session, "--fault", "drive-lost@117")
     process = processes.python(LIVE, *words)
     assert process.wait(6 * PATIENCE) == 0, process.text
@@ -59,23 +73,31 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     assert samples[0].disturbances == (0.0,)
 
 
-def test_both_heaters_are_driven_and_recorded_and_go_to_zero(processes: Processes, tmp_path: Path) -> None:
+def test_both_heaters_are_driven_and_recorded_and_go_to_zero(
+    processes: Processes, tmp_path: Path
+) -> None:
     overrides = {"repeat": "false", "holds": "[15.0, 10.0, 10.0, 10.0]"}
     plan = LivePlan(
         config=PROJECT / "config" / "tclab_both.yaml",
         virtual=VirtualPlan(math.inf, plant="tclab-both"),
-        overrides={f"controller:profile.{name}": value for name, value in overrides.items()}
+        overrides={
+            f"controller:profile.{name}": value for name, value in overrides.items()
+        }
         | {"controller:exit_at_end": "true", "controller:command_period": "0.5"},
         plant="tclab-both",
     )
     assert plan.virtual is not None
-    kit = processes.python("-m", "twinmatch.cli", "virtual-rig", *plan.virtual.arguments)
+    kit = processes.python(
+        "-m", "twinmatch.cli", "virtual-rig", *plan.virtual.arguments
+    )
     kit.said("^ready$")
     addresses = dict(line.split(": ", 1) for line in kit.lines if ": " in line)
     in_step = {"environment": {**os.environ, VARIABLE: addresses["clock"]}}
     nodes = ("-m", "twinmatch.nodes")
     processes.python(*nodes, "plant_clock", *plan.clock_arguments(addresses))
-    recorder = processes.python(*nodes, "recorder", *plan.recorder_arguments(tmp_path / "run"), **in_step)
+    recorder = processes.python(
+        *nodes, "recorder", *plan.recorder_arguments(tmp_path / "run"), **in_step
+    )
     words = (*plan.rig_arguments(addresses), *plan.wait_for("recorder"))
     rig = processes.python(*nodes, plan.wiring.program, *words, **in_step)
     assert rig.wait() == 0, rig.text
@@ -94,17 +116,25 @@ def test_both_heaters_are_driven_and_recorded_and_go_to_zero(processes: Processe
         (40, 45),
     ]
     # A step of the sensor, 0.32 °C, takes 2 % off the command; the integral is above that after ten seconds.
-    assert all(sample.inputs[0] > 0 and sample.inputs[1] > 0 for sample in session.samples[15:])
+    assert all(
+        sample.inputs[0] > 0 and sample.inputs[1] > 0 for sample in session.samples[15:]
+    )
 
 
-def test_what_a_process_of_the_run_refuses_is_one_line_and_exit_code_two(processes: Processes) -> None:
-    process = processes.python(LIVE, "--plant", "tclab", "--no-record", "--port", "/dev/null")
+def test_what_a_process_of_the_run_refuses_is_one_line_and_exit_code_two(
+    processes: Processes,
+) -> None:
+    process = processes.python(
+        LIVE, "--plant", "tclab", "--no-record", "--port", "/dev/null"
+    )
     assert process.wait() == 2, process.text
     assert "kit at /dev/null: the port cannot be opened" in process.text
     assert "Traceback" not in process.text
 
 
 def test_a_fault_that_a_kit_cannot_have_is_refused() -> None:
-    completed = run_twinmatch("virtual-rig", "--plant", "tclab", "--fault", "fan-failed@3")
+    completed = run_twinmatch(
+        "virtual-rig", "--plant", "tclab", "--fault", "fan-failed@3"
+    )
     assert completed.returncode == 2
     assert "fault 'fan-failed': not available for this plant" in completed.stderr

@@ -31,15 +31,18 @@ README = (PROJECT / "README.md").read_text("utf-8")
 PATIENT = 4 * PATIENCE
 LINES = [
     line.split(" #")[0].strip()
-    for block in re.findall(r"^```(?:sh)?\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+    for block in re.findall(
+        r"^```(?:sh)?\n(.*?)^```$", README, re.MULTILINE | re.DOTALL
+    )
     for line in block.splitlines()
     if line.strip()
 ]
-INLINE = re.findall(r"`((?:make|twinmatch|python) [^`]+)`", re.sub(r"```.*?```", "", README, flags=re.DOTALL))
-TW = ".venv/bin/twinmatch"
-ATTACH = (
-    f"{TW} attach --plant my_plant.py --map reference=/sp output=/camera:temperature input=/cmd --dashboard"
+INLINE = re.findall(
+    r"`((?:make|twinmatch|python) [^`]+)`",
+    re.sub(r"```.*?```", "", README, flags=re.DOTALL),
 )
+TW = ".venv/bin/twinmatch"
+ATTACH = f"{TW} attach --plant my_plant.py --map reference=/sp output=/camera:temperature input=/cmd --dashboard"
 IMPORT = (
     f"{TW} import BAG --plant my_plant.py "
     "--map reference=/sp:data output=/camera:temperature input=/cmd:data -o SESSION"
@@ -68,23 +71,40 @@ FREE = {"--dashboard": "--dashboard 0"}
 VERDICT = r"^ *\d+ +(unknown|doubtful|trusted|fault)"
 
 RUNS = {
-    "source .venv/bin/activate": Runs("twinmatch", {"activate": "activate && command -v twinmatch"}),
+    "source .venv/bin/activate": Runs(
+        "twinmatch", {"activate": "activate && command -v twinmatch"}
+    ),
     "twinmatch replay bags/four_setpoints": Runs(
         "Leader: .*trust it .* s ahead between", {"bags/four_setpoints": "longer"}
     ),
-    "twinmatch report bags/four_setpoints -o report.html": Runs("report.html", SHIPPED_SHORT),
-    "twinmatch forecast bags/four_setpoints --at 1200 --hold 80": Runs(r"leader.*confidence"),
-    "python launch_scripts/replay.py bags/four_setpoints --dashboard": Runs(VERDICT, FREE, 130),
+    "twinmatch report bags/four_setpoints -o report.html": Runs(
+        "report.html", SHIPPED_SHORT
+    ),
+    "twinmatch forecast bags/four_setpoints --at 1200 --hold 80": Runs(
+        r"leader.*confidence"
+    ),
+    "python launch_scripts/replay.py bags/four_setpoints --dashboard": Runs(
+        VERDICT, FREE, 130
+    ),
     "python launch_scripts/live.py --virtual --speed 5 --dashboard --control": Runs(
         "recording into", FREE, 0
     ),
     "twinmatch foxglove": Runs("ws://127.0.0.1", {"foxglove": "foxglove --port 0"}, 0),
-    ATTACH: Runs(VERDICT, {"--dashboard": "--dashboard 0 --session attached"}, 0, ("foreign_rig",)),
+    ATTACH: Runs(
+        VERDICT,
+        {"--dashboard": "--dashboard 0 --session attached"},
+        0,
+        ("foreign_rig",),
+    ),
     f"{TW} import BAG --list": Runs("/camera", {"BAG": "bag"}, needs=("bag",)),
     IMPORT: Runs("samples", {"BAG": "bag", "SESSION": "imported"}, needs=("bag",)),
     f"{TW} replay SESSION": Runs("Leader: ", SHORT),
-    f"{TW} replay SESSION --json out.json --figure verdict.png": Runs("Leader: ", SHORT),
-    f"{TW} replay FOLDER --out RESULTS": Runs("1 session judged", {"FOLDER": "judged", "RESULTS": "results"}),
+    f"{TW} replay SESSION --json out.json --figure verdict.png": Runs(
+        "Leader: ", SHORT
+    ),
+    f"{TW} replay FOLDER --out RESULTS": Runs(
+        "1 session judged", {"FOLDER": "judged", "RESULTS": "results"}
+    ),
     f"{TW} forecast SESSION --at SAMPLE": Runs(r"leader.*confidence", SHORT),
     f"{TW} try-controller SESSION --loop law.json": Runs(
         "law.json: safe for all that the data allow", LONGER, needs=("law",)
@@ -92,10 +112,14 @@ RUNS = {
     f"{TW} experiment SESSION": Runs("characters for structure are expected", LONGER),
     f"{TW} backtest SESSION": Runs("persistence", LONGER),
     f"{TW} verify SESSION": Runs(
-        "are identical, bit for bit", {"SESSION": "attached --plant my_plant.py"}, needs=("attached",)
+        "are identical, bit for bit",
+        {"SESSION": "attached --plant my_plant.py"},
+        needs=("attached",),
     ),
     f"{TW} play SESSION --rate 50": Runs("Leader: ", SHORT, nodes=True),
-    f"{TW} new-plant tank --from log.csv": Runs("twinmatch check-plant", needs=("log",)),
+    f"{TW} new-plant tank --from log.csv": Runs(
+        "twinmatch check-plant", needs=("log",)
+    ),
     f"{TW} check-plant tank.py": Runs("no problems found", needs=("tank",)),
     f"{TW} replay SESSION --plant tank.py": Runs(
         "Leader: ", {"SESSION": "tank_session"}, needs=("tank_session",)
@@ -174,9 +198,12 @@ def run(command: str, how: Runs, folder: Path, processes: Processes) -> str:
         return completed.stdout
     if program == "source":
         process = processes.start("bash", "-c", command, folder=folder)
-    else:  # forked: that the installed programs start is shown by the first, and by tests of the wheel
+    else:
+        # forked: that the installed programs start is shown by the first, and by tests of the wheel
         ours = ["-m", "twinmatch.cli"] if Path(program).name == "twinmatch" else []
-        process = processes.start(sys.executable, *ours, *arguments, folder=folder, forked=True)
+        process = processes.start(
+            sys.executable, *ours, *arguments, folder=folder, forked=True
+        )
     if how.until is not None:
         process.said(how.says, PATIENT)
         assert process.end(signal.SIGINT) == how.until, process.text
@@ -195,11 +222,15 @@ def plant(folder: Path) -> None:
 @pytest.fixture
 def foreign_rig(plant: None, processes: Processes) -> None:  # noqa: ARG001
     """That rig with the topics of the README."""
-    processes.python(RIG, "--period", "0.1", "--stamped", "--topics", "/sp", "/camera", "/cmd")
+    processes.python(
+        RIG, "--period", "0.1", "--stamped", "--topics", "/sp", "/camera", "/cmd"
+    )
 
 
 @pytest.fixture
-def attached(folder: Path, processes: Processes, request: pytest.FixtureRequest) -> None:
+def attached(
+    folder: Path, processes: Processes, request: pytest.FixtureRequest
+) -> None:
     """The session that the README's own command has recorded."""
     if not (folder / "attached").is_dir():
         request.getfixturevalue("foreign_rig")
@@ -228,7 +259,9 @@ def log(folder: Path) -> None:
     if (folder / "log.csv").exists():
         return
     text = (PROJECT / "docs" / "your_plant.md").read_text("utf-8")
-    code = dict(re.findall(r"^```python (\w+\.py)\n(.*?)^```", text, re.DOTALL | re.MULTILINE))["make_log.py"]
+    code = dict(
+        re.findall(r"^```python (\w+\.py)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    )["make_log.py"]
     subprocess.run([sys.executable, "-c", code], cwd=folder, check=True)
 
 
@@ -245,7 +278,12 @@ def law(folder: Path) -> None:
 def tank(folder: Path, log: None, processes: Processes) -> None:  # noqa: ARG001
     """Its plant file."""
     if not (folder / "tank.py").exists():
-        run("twinmatch new-plant tank --from log.csv", Runs("tank.py"), folder, processes)
+        run(
+            "twinmatch new-plant tank --from log.csv",
+            Runs("tank.py"),
+            folder,
+            processes,
+        )
 
 
 @pytest.fixture
@@ -259,7 +297,10 @@ def tank_session(folder: Path, tank: None, processes: Processes) -> None:  # noq
 def test_it_runs_as_it_stands_there(
     command: str, folder: Path, processes: Processes, request: pytest.FixtureRequest
 ) -> None:
-    if command.startswith("source") and not (folder / ".venv" / "bin" / "activate").is_file():
+    if (
+        command.startswith("source")
+        and not (folder / ".venv" / "bin" / "activate").is_file()
+    ):
         pytest.skip("these tests do not run in a virtual environment")
     for name in RUNS[command].needs:
         request.getfixturevalue(name)
@@ -277,19 +318,26 @@ def test_the_demo_ends_with_a_report_and_a_second_one_starts_from_it(
     for holds in ("60.0, 200.0, 200.0, 200.0", "60.0, 200.0, 10.0, 10.0"):
         config = shipped
         for name, values in (("levels", "30.0, 50.0, 40.0, 60.0"), ("holds", holds)):
-            config, replaced = re.subn(rf"(profile\.{name}: ).*", rf"\g<1>[{values}]", config)
+            config, replaced = re.subn(
+                rf"(profile\.{name}: ).*", rf"\g<1>[{values}]", config
+            )
             assert replaced == 1
         (folder / "demo.yaml").write_text(config, "utf-8")
-        command = "python launch_scripts/demo.py --config demo.yaml --memory demo.sqlite"
+        command = (
+            "python launch_scripts/demo.py --config demo.yaml --memory demo.sqlite"
+        )
         reports.append(run(command, Runs("^report: "), folder, processes))
     first, second = reports
     for text in (first, second):
         assert re.search(r"and [1-9]\d* match.* the same, bit for bit", text), text
-        assert re.search(r"^remembered demo_.*: [1-9] structures$", text, re.MULTILINE), text
+        assert re.search(
+            r"^remembered demo_.*: [1-9] structures$", text, re.MULTILINE
+        ), text
     assert "nothing is remembered yet" in first
     assert "1 session is remembered" in second
     levels = {
-        text: re.findall(r"^\d+ +(trusted|unknown|doubtful)", text, re.MULTILINE) for text in (first, second)
+        text: re.findall(r"^\d+ +(trusted|unknown|doubtful)", text, re.MULTILINE)
+        for text in (first, second)
     }
     assert levels[first][0] == "unknown", first
     assert levels[second][0] == "trusted", second

@@ -36,7 +36,9 @@ HEALTHY = (1, 2, 5, 9, 14, 20)
 SHORTEST = 2
 """The healthy hour that costs least to judge; the others take a minute."""
 OTHERS = tuple(number for number in HEALTHY if number != SHORTEST)
-ALL_HOURS = pytest.mark.long("judges six real hours, and forecasts from every twentieth sample of them")
+ALL_HOURS = pytest.mark.long(
+    "judges six real hours, and forecasts from every twentieth sample of them"
+)
 LOST_DRIVE = 27
 AHEAD = 300
 EVERY = 20
@@ -67,7 +69,9 @@ class Hour:
     """ν-gaps between candidates, and RMS differences of their answers to the hour's set-points."""
 
     def __post_init__(self) -> None:
-        self._signals = np.array([[s.output for s in self.samples], [s.input for s in self.samples]])
+        self._signals = np.array(
+            [[s.output for s in self.samples], [s.input for s in self.samples]]
+        )
         self._reference = np.array([s.reference for s in self.samples])
 
     def listen(self, twin: Twin, sample: Sample, outcome: Outcome) -> None:
@@ -91,7 +95,9 @@ class Hour:
             self.best.append(min(errors.values()))
             self.decided.append(verdict.decided)
             start = self.samples[0].output
-            answers = [answer(c.parameters, self._reference, start) for c in verdict.candidates]
+            answers = [
+                answer(c.parameters, self._reference, start) for c in verdict.candidates
+            ]
             for i, j in zip(*np.tril_indices(len(answers), -1), strict=True):
                 self.gaps.append(verdict.nu_gap[i][j])
                 self.apart.append(rms(answers[i] - answers[j]))
@@ -99,7 +105,11 @@ class Hour:
             forecast = forecaster.outlook().forecast(reference)
             bands = ((forecast.output, 0), (forecast.input, 1))
             self.inside.append(
-                [b.low[h - 1] <= signals[row, k + h] <= b.high[h - 1] for h in AT for b, row in bands]
+                [
+                    b.low[h - 1] <= signals[row, k + h] <= b.high[h - 1]
+                    for h in AT
+                    for b, row in bands
+                ]
             )
 
 
@@ -114,7 +124,9 @@ def error(outlook: Outlook, reference: FloatArray, came: FloatArray) -> float:
 
 
 def answer(parameters: Parameters, reference: FloatArray, start: float) -> FloatArray:
-    run = simulate_closed_loop(parameters, reference, states=begin(parameters, start), law=SETTINGS.law)
+    run = simulate_closed_loop(
+        parameters, reference, states=begin(parameters, start), law=SETTINGS.law
+    )
     return np.stack([run.output, run.input])
 
 
@@ -129,7 +141,9 @@ def hour(recordings: dict[int, Path]) -> Callable[[int], Hour]:
         session = open_any(recordings[number])
         samples = list(session.samples)
         measured_hour = Hour(samples, Listener(session.name, SETTINGS, BACKTESTED))
-        measured_hour.judgement = judge(session, terms_from_files(session), beside=measured_hour.listen)
+        measured_hour.judgement = judge(
+            session, terms_from_files(session), beside=measured_hour.listen
+        )
         return measured_hour
 
     return judged
@@ -140,7 +154,10 @@ def hours(hour: Callable[[int], Hour]) -> list[Hour]:
     return [hour(number) for number in HEALTHY]
 
 
-NUMBERS = [pytest.param([SHORTEST], id="shortest"), pytest.param(OTHERS, id="others", marks=ALL_HOURS)]
+NUMBERS = [
+    pytest.param([SHORTEST], id="shortest"),
+    pytest.param(OTHERS, id="others", marks=ALL_HOURS),
+]
 
 
 @pytest.mark.parametrize("numbers", NUMBERS)
@@ -164,11 +181,15 @@ def test_a_healthy_hour_has_a_nominal_twin_that_follows_it(
         pytest.param([*OTHERS, LOST_DRIVE], id="others", marks=ALL_HOURS),
     ],
 )
-def test_results_are_the_golden_ones(numbers: Sequence[int], hour: Callable[[int], Hour]) -> None:
+def test_results_are_the_golden_ones(
+    numbers: Sequence[int], hour: Callable[[int], Hour]
+) -> None:
     """What `twinmatch replay --json` writes; forecasts that are asked for beside it move no bit."""
     for number in numbers:
         judgement = hour(number).judgement
-        written = document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
+        written = document(
+            judgement.name, judgement.verdicts, judgement.summary, judgement.matches
+        )
         as_read = json.loads(json.dumps(written))
         different, compared = compare(f"rig_{number}", digest({"replay": as_read}))
         assert not different, f"hour {number}, compared: {compared}"
@@ -184,16 +205,26 @@ def test_the_frozen_sensor_at_the_start_of_an_hour_gives_no_candidate(
     assert not first.accepted
 
 
-def test_a_lost_drive_is_reported_in_time_and_never_matched(recorded_hour: Callable[[int], Window]) -> None:
+def test_a_lost_drive_is_reported_in_time_and_never_matched(
+    recorded_hour: Callable[[int], Window],
+) -> None:
     """Recording 27: lost at 2155 s, visible from about 2235 s, to be reported by 2355 s."""
     samples = samples_of(recorded_hour(LOST_DRIVE))[1500:2700]
     judgement = judge_samples("lost drive", samples, SETTINGS)
     for report in judgement.matches:
         if report.match.samples[1] > 2155:
             assert not report.match.accepted
-    assert any(report.match.accepted for report in judgement.matches), "it is healthy before"
-    assert all(v.level is not TrustLevel.FAULT for v in judgement.verdicts if v.sample <= 2155)
-    assert any(v.level is TrustLevel.FAULT for v in judgement.verdicts if 2155 < v.sample <= 2355)
+    assert any(report.match.accepted for report in judgement.matches), (
+        "it is healthy before"
+    )
+    assert all(
+        v.level is not TrustLevel.FAULT for v in judgement.verdicts if v.sample <= 2155
+    )
+    assert any(
+        v.level is TrustLevel.FAULT
+        for v in judgement.verdicts
+        if 2155 < v.sample <= 2355
+    )
     after = [v for v in judgement.verdicts if v.sample > 2355]
     assert after
     assert all(v.level is TrustLevel.FAULT for v in after)
@@ -206,7 +237,9 @@ def frozen(hour: Window, first: int, last: int) -> Window:
     return replace(hour, outputs=output)
 
 
-def test_a_sensor_that_freezes_in_a_real_hour_is_reported(recorded_hour: Callable[[int], Window]) -> None:
+def test_a_sensor_that_freezes_in_a_real_hour_is_reported(
+    recorded_hour: Callable[[int], Window],
+) -> None:
     samples = samples_of(frozen(recorded_hour(9), 400, 700))[:900]
     verdicts = judge_samples("frozen", samples, TwinSettings()).verdicts
     first_fault = next(v for v in verdicts if v.level is TrustLevel.FAULT)
@@ -248,7 +281,9 @@ def test_bands_hold_what_they_promise(hours: list[Hour]) -> None:
 
 
 @ALL_HOURS
-def test_the_gap_goes_with_how_differently_two_candidates_behave(hours: list[Hour]) -> None:
+def test_the_gap_goes_with_how_differently_two_candidates_behave(
+    hours: list[Hour],
+) -> None:
     gaps = np.concatenate([hour.gaps for hour in hours])
     apart = np.concatenate([hour.apart for hour in hours])
     assert spearmanr(gaps, apart).statistic >= 0.6
@@ -259,7 +294,11 @@ def test_the_gap_goes_with_how_differently_two_candidates_behave(hours: list[Hou
 def test_the_leader_beats_everybody(number: int, hour: Callable[[int], Hour]) -> None:
     """Over five minutes: a smaller error than any peer, near the best twin, an honest band."""
     judged_hour = hour(number)
-    at_five_minutes = [c for c in graded(judged_hour.judgement, judged_hour.graded).cards if c.horizon == 300]
+    at_five_minutes = [
+        c
+        for c in graded(judged_hour.judgement, judged_hour.graded).cards
+        if c.horizon == 300
+    ]
     (leader,) = (c for c in at_five_minutes if c.who == LEADER)
     peers = [c for c in at_five_minutes if c.who not in TWINS]
     assert peers

@@ -57,7 +57,12 @@ class Broken:
     """A part that raises while it is `armed`, once or whenever it is run."""
 
     def __init__(
-        self, patch: pytest.MonkeyPatch, part: str, error: BaseException, *, once: bool = True
+        self,
+        patch: pytest.MonkeyPatch,
+        part: str,
+        error: BaseException,
+        *,
+        once: bool = True,
     ) -> None:
         self.armed = False
         self.raised = 0
@@ -97,7 +102,9 @@ def reports() -> dict[int, MatchReport]:
 
 
 @pytest.fixture
-def matched_once(reports: dict[int, MatchReport], monkeypatch: pytest.MonkeyPatch) -> None:
+def matched_once(
+    reports: dict[int, MatchReport], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Have each window matched by the first test only that comes to it."""
 
     def report_on(request: MatchRequest, settings: TwinSettings) -> MatchReport:
@@ -147,7 +154,9 @@ def test_the_verdict_says_where_a_part_failed_and_the_run_continues(
     part: str, samples: list[Sample], twin: Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broken = Broken(monkeypatch, part, ZeroDivisionError("a slip"))
-    with pytest.warns(DefectWarning, match="ZeroDivisionError: a slip; please report it") as warned:
+    with pytest.warns(
+        DefectWarning, match="ZeroDivisionError: a slip; please report it"
+    ) as warned:
         verdicts = run(samples[BREAKS:ENDS], broken, twin, until=continues)
     assert broken.raised == 1
     assert len(warned) == 1
@@ -157,11 +166,15 @@ def test_the_verdict_says_where_a_part_failed_and_the_run_continues(
         f"{SAID} of this program",
     )
     (defect,) = twin.discriminator.defects.values()
-    assert defective_verdict.reason.endswith(f"{defect.place}, {defect.function}: ZeroDivisionError: a slip")
+    assert defective_verdict.reason.endswith(
+        f"{defect.place}, {defect.function}: ZeroDivisionError: a slip"
+    )
     assert BREAKS <= defective_verdict.sample <= 420
     assert "a slip" in line_text(defective_verdict)
     assert comparable(tree_of(defective_verdict))
-    assert verdicts[-1].sample > defective_verdict.sample, "the verdicts after it are made as ever"
+    assert verdicts[-1].sample > defective_verdict.sample, (
+        "the verdicts after it are made as ever"
+    )
     assert twin.discriminator.settled == verdicts[-1].sample
 
 
@@ -195,13 +208,21 @@ def test_candidates_start_over_behind_a_sample_that_was_half_taken(
     with pytest.warns(DefectWarning):
         verdicts = run(samples[BREAKS:], broken, twin)
     fresh = Twin()
-    later = [verdict for sample in samples[BREAKS + 1 :] for verdict in fresh.push(sample).verdicts]
-    assert [verdict.sample for verdict in later] == [v.sample for v in verdicts if v.sample > BREAKS]
+    later = [
+        verdict
+        for sample in samples[BREAKS + 1 :]
+        for verdict in fresh.push(sample).verdicts
+    ]
+    assert [verdict.sample for verdict in later] == [
+        v.sample for v in verdicts if v.sample > BREAKS
+    ]
     newest = verdicts[-1]
     expected = later[-1]
     assert newest.candidates == expected.candidates
     assert newest.candidates
-    assert [f.parameters for f in newest.forecasts] == [f.parameters for f in expected.forecasts]
+    assert [f.parameters for f in newest.forecasts] == [
+        f.parameters for f in expected.forecasts
+    ]
     assert newest.leader == expected.leader
 
 
@@ -210,7 +231,11 @@ def test_a_failing_verdict_costs_nothing_else(
 ) -> None:
     """To say what is known changes nothing of it: all other verdicts are as without the defect."""
     undisturbed = copied(twin)
-    whole = [verdict for sample in samples[BREAKS:ENDS] for verdict in undisturbed.push(sample).verdicts]
+    whole = [
+        verdict
+        for sample in samples[BREAKS:ENDS]
+        for verdict in undisturbed.push(sample).verdicts
+    ]
     broken = Broken(monkeypatch, "twin.engine.verdict_of", ZeroDivisionError())
     with pytest.warns(DefectWarning):
         verdicts = run(samples[BREAKS:ENDS], broken, twin)
@@ -223,12 +248,18 @@ def test_a_failing_verdict_costs_nothing_else(
 def test_a_defect_at_every_sample_is_logged_once_and_said_in_the_interval_of_verdicts(
     samples: list[Sample], twin: Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    broken = Broken(monkeypatch, "twin.engine.Monitor.push", ZeroDivisionError(), once=False)
+    broken = Broken(
+        monkeypatch, "twin.engine.Monitor.push", ZeroDivisionError(), once=False
+    )
     with pytest.warns(DefectWarning) as warned:
         verdicts = run(samples[BREAKS:420], broken, twin)
     assert len(warned) == 1
     assert broken.raised == 420 - BREAKS
-    assert [verdict.sample for verdict in verdicts if verdict.sample >= BREAKS] == [295, 355, 415]
+    assert [verdict.sample for verdict in verdicts if verdict.sample >= BREAKS] == [
+        295,
+        355,
+        415,
+    ]
 
 
 def test_a_fault_whose_watch_failed_stays_on(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -239,13 +270,23 @@ def test_a_fault_whose_watch_failed_stays_on(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.warns(DefectWarning):
         verdicts = run(steps, broken, twin, breaks_at=690)
     (defective_verdict,) = defective(verdicts)
-    assert (defective_verdict.fault, defective_verdict.fault_signal) == ("drive-lost", "pwm")
-    assert {verdict.fault for verdict in verdicts if verdict.sample >= 690} == {"drive-lost"}
+    assert (defective_verdict.fault, defective_verdict.fault_signal) == (
+        "drive-lost",
+        "pwm",
+    )
+    assert {verdict.fault for verdict in verdicts if verdict.sample >= 690} == {
+        "drive-lost"
+    }
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), SystemExit(3), TwinmatchError("twin.yaml: no such")])
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), SystemExit(3), TwinmatchError("twin.yaml: no such")]
+)
 def test_who_ends_the_run_ends_it(
-    error: BaseException, samples: list[Sample], twin: Twin, monkeypatch: pytest.MonkeyPatch
+    error: BaseException,
+    samples: list[Sample],
+    twin: Twin,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     broken = Broken(monkeypatch, "twin.forecaster.Forecaster.push", error)
     with pytest.raises(type(error)):

@@ -48,7 +48,9 @@ def samples() -> list[Sample]:
 def test_who_has_the_right_physics_leads(samples: list[Sample]) -> None:
     forecaster = Forecaster(GAINS)
     forecaster.enter(candidates_of(plain=PLAIN, truth=TRUTH))
-    assert forecaster.leader == "plain", "as long as nothing has come, the one named first"
+    assert forecaster.leader == "plain", (
+        "as long as nothing has come, the one named first"
+    )
     for sample in samples[:1500]:
         forecaster.push(sample)
     assert forecaster.leader == "truth"
@@ -56,13 +58,19 @@ def test_who_has_the_right_physics_leads(samples: list[Sample]) -> None:
     assert truth.gain > plain.gain > 0.0
     assert len(truth.gains) == 3
     assert truth.gain == pytest.approx(sum(truth.gains))
-    assert forecaster.confidence > 0.9, "the truth is the best in hindsight, and had to be"
+    assert forecaster.confidence > 0.9, (
+        "the truth is the best in hindsight, and had to be"
+    )
 
 
-def test_only_a_wrong_twin_is_beaten_by_forecasts_that_need_none(samples: list[Sample]) -> None:
+def test_only_a_wrong_twin_is_beaten_by_forecasts_that_need_none(
+    samples: list[Sample],
+) -> None:
     """Its module is three times too strong, so that ten minutes of other levels ahead are nonsense."""
     forecaster = Forecaster(GAINS)
-    forecaster.enter(candidates_of(wrong=rig(seebeck=0.15, heat_capacity=8.0), truth=TRUTH))
+    forecaster.enter(
+        candidates_of(wrong=rig(seebeck=0.15, heat_capacity=8.0), truth=TRUTH)
+    )
     for sample in samples[:1500]:
         forecaster.push(sample)
     wrong, truth = forecaster.scores
@@ -72,7 +80,8 @@ def test_only_a_wrong_twin_is_beaten_by_forecasts_that_need_none(samples: list[S
     assert set(wrong.doubts(horizons)) == set(horizons)
     assert [doubt.certain for doubt in wrong.doubts(horizons).values()] == [True] * 3
     assert re.match(
-        r"truth forecasts best: it saves [\d.]+ characters .*, and in \d+ % of cases", forecaster.sentence
+        r"truth forecasts best: it saves [\d.]+ characters .*, and in \d+ % of cases",
+        forecaster.sentence,
     )
 
 
@@ -83,7 +92,9 @@ def test_a_leader_that_is_beaten_boasts_of_no_savings() -> None:
     for sample in samples_of(run(TRUTH, np.repeat([45.0, 46.0], 400), seed=5)):
         truth.push(sample)
     assert truth.scores[0].gain < 0.0
-    assert truth.sentence == "wrong forecasts best: it saves 0.00 characters per forecast"
+    assert (
+        truth.sentence == "wrong forecasts best: it saves 0.00 characters per forecast"
+    )
 
 
 def test_bands_of_the_truth_hold(samples: list[Sample]) -> None:
@@ -99,7 +110,10 @@ def test_bands_of_the_truth_hold(samples: list[Sample]) -> None:
         ahead = samples[k + 1 : k + 301]
         forecast = forecaster.outlook().forecast([s.reference for s in ahead])
         for h in (9, 59, 299):
-            for band, value in ((forecast.output, ahead[h].output), (forecast.input, ahead[h].input)):
+            for band, value in (
+                (forecast.output, ahead[h].output),
+                (forecast.input, ahead[h].input),
+            ):
                 inside.append(band.low[h] <= value <= band.high[h])
     assert np.mean(inside) == pytest.approx(0.9, abs=0.1)
 
@@ -121,11 +135,15 @@ def judged(samples: list[Sample]) -> Judged:
         judgement.leaders += [v.leader for v in judgement.twin.push(sample).verdicts]
         if sample.index == 711:
             forecaster = judgement.twin.discriminator.forecaster
-            judgement.outlooks |= {name: forecaster.outlook(name) for name in forecaster.names}
+            judgement.outlooks |= {
+                name: forecaster.outlook(name) for name in forecaster.names
+            }
     return judgement
 
 
-def test_a_forecast_knows_nothing_of_what_comes(samples: list[Sample], judged: Judged) -> None:
+def test_a_forecast_knows_nothing_of_what_comes(
+    samples: list[Sample], judged: Judged
+) -> None:
     """Whether the session is cut there or continues, the bits are the same, for every candidate."""
     cut_twin = Twin()
     for sample in samples[:712]:
@@ -134,14 +152,17 @@ def test_a_forecast_knows_nothing_of_what_comes(samples: list[Sample], judged: J
     assert set(forecaster.names) == set(judged.outlooks)
     for name in forecaster.names:
         whole_forecast, cut_forecast = (
-            o.forecast([60.0] * 300) for o in (judged.outlooks[name], forecaster.outlook(name))
+            o.forecast([60.0] * 300)
+            for o in (judged.outlooks[name], forecaster.outlook(name))
         )
         for band, cut_band in (
             (whole_forecast.output, cut_forecast.output),
             (whole_forecast.input, cut_forecast.input),
         ):
             for side in ("mean", "low", "high"):
-                assert getattr(band, side).tobytes() == getattr(cut_band, side).tobytes()
+                assert (
+                    getattr(band, side).tobytes() == getattr(cut_band, side).tobytes()
+                )
 
 
 def test_the_mean_is_what_the_plant_does_when_nothing_disturbs_it() -> None:
@@ -152,8 +173,12 @@ def test_the_mean_is_what_the_plant_does_when_nothing_disturbs_it() -> None:
     for sample in quiet[:250]:
         forecaster.push(sample)
     forecast = forecaster.outlook().forecast([s.reference for s in quiet[250:550]])
-    assert forecast.output.mean == pytest.approx([s.output for s in quiet[250:550]], abs=1e-6)
-    assert forecast.input.mean == pytest.approx([s.input for s in quiet[250:550]], abs=1e-3)
+    assert forecast.output.mean == pytest.approx(
+        [s.output for s in quiet[250:550]], abs=1e-6
+    )
+    assert forecast.input.mean == pytest.approx(
+        [s.input for s in quiet[250:550]], abs=1e-3
+    )
 
 
 def test_nothing_is_learned_from_a_spoilt_stretch(samples: list[Sample]) -> None:
@@ -165,7 +190,9 @@ def test_nothing_is_learned_from_a_spoilt_stretch(samples: list[Sample]) -> None
     assert forecaster.scores[0].forecasts == 0.0
 
 
-def test_after_a_gap_it_follows_again_and_keeps_what_it_learned(samples: list[Sample]) -> None:
+def test_after_a_gap_it_follows_again_and_keeps_what_it_learned(
+    samples: list[Sample],
+) -> None:
     forecaster = Forecaster(GAINS)
     forecaster.enter(candidates_of(truth=TRUTH))
     for sample in samples[:800]:
@@ -200,7 +227,9 @@ def test_a_question_too_early_or_to_a_wrong_name_is_refused() -> None:
         forecaster.outlook()
     forecaster.enter(candidates_of(truth=TRUTH))
     forecaster.push(Sample(0, 0, 40.0, 23.0, 0.0))
-    with pytest.raises(ForecastError, match="no candidate 'other'; at this sample there are: truth"):
+    with pytest.raises(
+        ForecastError, match="no candidate 'other'; at this sample there are: truth"
+    ):
         forecaster.outlook("other")
     with pytest.raises(ForecastError, match="not a list of finite numbers"):
         forecaster.outlook().forecast([40.0, float("nan")])
@@ -226,7 +255,11 @@ def test_a_structure_leads_the_family_on_a_rig_that_has_it(judged: Judged) -> No
     assert leaders.count(RICH) > len(leaders) / 2
     scores = judged.twin.discriminator.forecaster.scores
     parameters = next(s for s in scores if s.name == RICH).parameters
-    for name, tolerance in (("conductance", 0.1), ("heat_capacity", 0.25), ("seebeck", 0.25)):
+    for name, tolerance in (
+        ("conductance", 0.1),
+        ("heat_capacity", 0.25),
+        ("seebeck", 0.25),
+    ):
         assert parameters[name] == pytest.approx(TRUTH[name], rel=tolerance), name
 
 

@@ -13,7 +13,11 @@ from twinmatch.signals import Sample
 from twinmatch.twin import Outcome, Twin, TwinSettings
 
 MASSIVE = Peltier.model("sink with mass").parameters(
-    seebeck=0.06, conductance=0.6, heat_capacity=28.0, sink_heat_capacity=300.0, sink_convection=5.0
+    seebeck=0.06,
+    conductance=0.6,
+    heat_capacity=28.0,
+    sink_heat_capacity=300.0,
+    sink_convection=5.0,
 )
 
 
@@ -26,11 +30,15 @@ def test_it_is_the_gap_between_the_candidates_plants(judged: list[Verdict]) -> N
     last = judged[-1]
     settings = TwinSettings()
     terms = LoopConditions(settings.law, spans_of(Peltier), settings.schedule.span)
-    recomputed = plant_gaps([c.parameters for c in last.candidates], last.nu_gap_points, terms)
+    recomputed = plant_gaps(
+        [c.parameters for c in last.candidates], last.nu_gap_points, terms
+    )
     np.testing.assert_array_equal(last.nu_gap, recomputed.matrix)
 
 
-def test_the_points_are_those_of_the_family_and_the_ends_of_what_was_asked_for(judged: list[Verdict]) -> None:
+def test_the_points_are_those_of_the_family_and_the_ends_of_what_was_asked_for(
+    judged: list[Verdict],
+) -> None:
     for verdict in judged:
         points = {c.operating_point for c in verdict.modelled}
         assert points <= set(verdict.nu_gap_points) <= set(SET_POINTS)
@@ -39,13 +47,21 @@ def test_the_points_are_those_of_the_family_and_the_ends_of_what_was_asked_for(j
     assert judged[-1].nu_gap_points[-1] == max(SET_POINTS)
 
 
-def test_the_gap_between_identified_models_stands_beside_it(judged: list[Verdict]) -> None:
+def test_the_gap_between_identified_models_stands_beside_it(
+    judged: list[Verdict],
+) -> None:
     """It chooses nothing, and is one of its own."""
     last = judged[-1]
     identified = np.array(last.identified_gap)
     np.testing.assert_array_equal(identified, identified.T)
-    np.testing.assert_allclose([c.identified_gap_sum for c in last.modelled], identified.sum(axis=0))
-    assert all(0 < c.identified_gap_to_plant <= 1 for c in last.modelled if c.identified_gap_to_plant)
+    np.testing.assert_allclose(
+        [c.identified_gap_sum for c in last.modelled], identified.sum(axis=0)
+    )
+    assert all(
+        0 < c.identified_gap_to_plant <= 1
+        for c in last.modelled
+        if c.identified_gap_to_plant
+    )
     count = len(last.modelled)
     assert not np.allclose(identified, np.array(last.nu_gap)[:count, :count])
 
@@ -75,9 +91,17 @@ def test_the_nominal_plant_is_near_the_rig(judged: list[Verdict]) -> None:
 def test_a_given_candidate_of_another_structure_is_compared_and_exact(
     simulated_session: list[Sample],
 ) -> None:
-    candidates = [Candidate("massive", 20.0, MASSIVE, None), Candidate("again", 100.0, MASSIVE, None)]
+    candidates = [
+        Candidate("massive", 20.0, MASSIVE, None),
+        Candidate("again", 100.0, MASSIVE, None),
+    ]
     twin = Twin(TwinSettings(), candidates)
-    verdicts = [v for s in simulated_session[:900] for v in twin.push(s).verdicts if not v.stands]
+    verdicts = [
+        v
+        for s in simulated_session[:900]
+        for v in twin.push(s).verdicts
+        if not v.stands
+    ]
     last = verdicts[-1]
     names = [c.name for c in last.candidates]
     assert {"massive", "again"} < set(names)
@@ -85,7 +109,9 @@ def test_a_given_candidate_of_another_structure_is_compared_and_exact(
     again_index = names.index("again")
     assert last.nu_gap[massive_index][again_index] == 0.0
     assert last.candidates[massive_index].nu_gap_high[again_index] == 0.0
-    matched = next(k for k, name in enumerate(names) if name not in {"massive", "again"})
+    matched = next(
+        k for k, name in enumerate(names) if name not in {"massive", "again"}
+    )
     assert 0.0 < last.nu_gap[massive_index][matched] < 1.0
     assert (
         last.candidates[massive_index].nu_gap_low[matched]

@@ -28,19 +28,26 @@ class Unmoved(Lag, name="unmoved"):
         return Equations(rates={self.x: rate}, output=self.x, start={self.x: self.y})
 
 
-PROMPT = InputEffect(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)))
+PROMPT = InputEffect(
+    np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
+)
 """The output follows the input at once, unit by unit."""
 CAPACITY = SETTINGS.capacity
 SPAN = SETTINGS.span
 LEAD = SETTINGS.lead
 
 
-HARDLY = InputEffect(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.full((1, 1), 0.004))
+HARDLY = InputEffect(
+    np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.full((1, 1), 0.004)
+)
 """What a plant file says of that output whose gain is 250 times too small."""
 
 
 def run(
-    heater: np.ndarray, output: np.ndarray | None = None, first: int = 0, effect: InputEffect = PROMPT
+    heater: np.ndarray,
+    output: np.ndarray | None = None,
+    first: int = 0,
+    effect: InputEffect = PROMPT,
 ) -> list[Trigger]:
     schedule = Schedule(SETTINGS, effect=effect, width=5.0)
     output = np.zeros(heater.size) if output is None else output
@@ -69,12 +76,17 @@ def test_a_step_test_is_judged_as_set_points_are() -> None:
     """When the next step ends a level, or `span` samples after it began; from the session's start on."""
     triggers = excited(steps((0.0, 100), (50.0, 130), (20.0, 300), (80.0, 10)))
     assert [t.sample for t in triggers] == [230, 230 + SPAN]
-    assert [(t.window.first, t.window.last) for t in triggers] == [(0, 229), (0, 230 + SPAN)]
+    assert [(t.window.first, t.window.last) for t in triggers] == [
+        (0, 229),
+        (0, 230 + SPAN),
+    ]
 
 
 def test_one_level_without_the_way_to_it_has_to_wait() -> None:
     """An input that jumps as the session begins did not rest before: its regime lasts for `span` samples."""
-    triggers = excited(steps((0.0, 5), (50.0, 195), (20.0, 200), (80.0, 200), (0.0, 10)))
+    triggers = excited(
+        steps((0.0, 5), (50.0, 195), (20.0, 200), (80.0, 200), (0.0, 10))
+    )
     assert [t.sample for t in triggers] == [5 + SPAN, 600]
     assert np.unique(triggers[0].window.input).size == 3
 
@@ -113,11 +125,17 @@ def following(heater: np.ndarray, lag: float = 20.0) -> np.ndarray:
 
 
 SWITCHED = 50.0 + 40.0 * np.random.default_rng(9).choice([-1.0, 1.0], 1500)
-ALTERNATING = np.resize([90.0, 90.0, 10.0, 10.0], 1500) + np.repeat(np.resize([0.0, 10.0, -10.0], 30), 50)
+ALTERNATING = np.resize([90.0, 90.0, 10.0, 10.0], 1500) + np.repeat(
+    np.resize([0.0, 10.0, -10.0], 30), 50
+)
 
 
-@pytest.mark.parametrize("heater", [SWITCHED, ALTERNATING], ids=["at random", "at every second sample"])
-def test_what_the_samples_show_counts_where_the_defaults_are_far_off(heater: np.ndarray) -> None:
+@pytest.mark.parametrize(
+    "heater", [SWITCHED, ALTERNATING], ids=["at random", "at every second sample"]
+)
+def test_what_the_samples_show_counts_where_the_defaults_are_far_off(
+    heater: np.ndarray,
+) -> None:
     """A gain 250 times too small in the plant file: the input has moved the output all the same, and windows
     come as often as with the right one."""
     output = following(heater)
@@ -137,7 +155,9 @@ def test_what_counts_is_what_the_output_does() -> None:
     """Of a lag with a gain of 2 and a time constant of 5 s: 63 % after 5 s, and never more than twice the
     input's movement. However noisy a drive is said to be, what it moves is a movement."""
     movement = ExpectedMovement(effect_of(Lag, 1.0))
-    course = [float(movement.take(np.array([u]))[0]) for u in steps((0.0, 3), (10.0, 60))]
+    course = [
+        float(movement.take(np.array([u]))[0]) for u in steps((0.0, 3), (10.0, 60))
+    ]
     gain = Lag.model().typical()["gain"]
     assert course[3 + 5] == pytest.approx(10.0 * gain * (1.0 - np.exp(-1.0)), rel=1e-3)
     assert course[-1] == pytest.approx(10.0 * gain, rel=1e-3)
@@ -148,16 +168,22 @@ def test_equations_that_say_nothing_leave_a_quarter_of_the_range() -> None:
     moved = ExpectedMovement(effect_of(Unmoved, 1.0))
     moved.take(np.zeros(1))
     low, high = Unmoved.drive.limits
-    assert moved.take(np.array([(high - low) / 4]))[0] == pytest.approx(Unmoved.output.least_step)
+    assert moved.take(np.array([(high - low) / 4]))[0] == pytest.approx(
+        Unmoved.output.least_step
+    )
 
 
 @pytest.mark.parametrize(("width", "point"), [(5.0, 37.2), (50.0, 37.0), (100.0, 40.0)])
-def test_the_operating_point_is_where_the_output_came_to(width: float, point: float) -> None:
+def test_the_operating_point_is_where_the_output_came_to(
+    width: float, point: float
+) -> None:
     schedule = Schedule(SETTINGS, effect=PROMPT, width=width)
     heater = steps((0.0, 100), (50.0, 300))
     output = np.linspace(20.0, 37.2, 400)
     output[280:] = 37.2
-    pushed = [schedule.push(Sample(k, k, 0.0, output[k], heater[k])) for k in range(400)]
+    pushed = [
+        schedule.push(Sample(k, k, 0.0, output[k], heater[k])) for k in range(400)
+    ]
     assert [t.operating_point for t in pushed if t is not None and t.excited] == [point]
 
 
@@ -165,23 +191,34 @@ def test_a_gap_starts_over() -> None:
     schedule = Schedule(SETTINGS, effect=PROMPT)
     for k in range(200):
         schedule.push(Sample(k, k, 0.0, 0.0, 50.0 * (k >= 100)))
-    later = [schedule.push(Sample(1000 + k, k, 0.0, 0.0, 20.0 * (k >= 50))) for k in range(400)]
+    later = [
+        schedule.push(Sample(1000 + k, k, 0.0, 0.0, 20.0 * (k >= 50)))
+        for k in range(400)
+    ]
     triggers = [t for t in later if t is not None]
     assert min(t.window.first for t in triggers) == 1000
     assert [t.sample for t in triggers if t.excited] == [1050 + SPAN]
 
 
-REGIMES = st.lists(st.tuples(st.sampled_from([0.0, 4.0, 50.0, 100.0]), st.integers(1, 400)), max_size=12)
+REGIMES = st.lists(
+    st.tuples(st.sampled_from([0.0, 4.0, 50.0, 100.0]), st.integers(1, 400)),
+    max_size=12,
+)
 
 
 @given(regimes=REGIMES, cut=st.integers(1, 2000))
-def test_triggers_depend_on_the_samples_before_them_alone(regimes: list[tuple[float, int]], cut: int) -> None:
+def test_triggers_depend_on_the_samples_before_them_alone(
+    regimes: list[tuple[float, int]], cut: int
+) -> None:
     heater = steps((0.0, 50), *regimes)
     whole = run(heater)
     part = run(heater[:cut])
     assert [t.sample for t in part] == [t.sample for t in whole if t.sample < cut]
     for trigger, uncut_trigger in zip(part, whole, strict=False):
-        assert (trigger.excited, trigger.window.first) == (uncut_trigger.excited, uncut_trigger.window.first)
+        assert (trigger.excited, trigger.window.first) == (
+            uncut_trigger.excited,
+            uncut_trigger.window.first,
+        )
         np.testing.assert_array_equal(trigger.window.input, uncut_trigger.window.input)
 
 

@@ -48,18 +48,31 @@ def score(
     gain: float = 5.0,
 ) -> ForecastScore:
     """Beside both baselines the same skill; by default certain."""
-    parameters = rig() if structure == "plate" else Peltier.model(structure).parameters(seebeck=gain / 100)
+    parameters = (
+        rig()
+        if structure == "plate"
+        else Peltier.model(structure).parameters(seebeck=gain / 100)
+    )
     ends = skill if high is None else high
-    return ForecastScore(name, parameters, 0, 299, gain, (gain,), 7.0, skill, skill, ends, ends)
+    return ForecastScore(
+        name, parameters, 0, 299, gain, (gain,), 7.0, skill, skill, ends, ends
+    )
 
 
-def compared(errors: tuple[float, float], errs: float, coverage: tuple[float, float]) -> ForecastScore:
+def compared(
+    errors: tuple[float, float], errs: float, coverage: tuple[float, float]
+) -> ForecastScore:
     """At the first horizon, with so many times the errors of both baselines, the standard error of the
     logarithms, a share in the bands, and of how many forecasts; at the second too little is known."""
     skills = [(1.0 - error, math.nan) for error in errors]
-    highs = [(1.0 - error * math.exp(-1.6448536269514722 * errs), math.nan) for error in errors]
+    highs = [
+        (1.0 - error * math.exp(-1.6448536269514722 * errs), math.nan)
+        for error in errors
+    ]
     share, number = ((figure, math.nan) for figure in coverage)
-    return ForecastScore("leader", rig(), 0, 299, 5.0, (5.0,), 7.0, *skills, *highs, share, number)
+    return ForecastScore(
+        "leader", rig(), 0, 299, 5.0, (5.0,), 7.0, *skills, *highs, share, number
+    )
 
 
 class Given(Standings):
@@ -98,7 +111,9 @@ def knowledge(
 ) -> Knowledge:
     """At a sample at which nothing speaks against the leader, but for these changes."""
     settings = TwinSettings(forecasts=ForecastSettings(horizons=(10.0, 60.0)))
-    known_before = Candidate("leader", 50.0, rig(), None, ("seebeck",), np.full((1, 1), 1e-6))
+    known_before = Candidate(
+        "leader", 50.0, rig(), None, ("seebeck",), np.full((1, 1), 1e-6)
+    )
     before = [known_before] if remembered else []
     pool = CandidatePool(settings, lambda *_: False, before)
     pool.forecaster.standings = Given((score(),) if forecasts is None else forecasts)
@@ -108,9 +123,26 @@ def knowledge(
     history.lasts = outside
     history.since = miss_since
     fields: dict[str, Any] = {
-        **{"sample": 300, "window": (0, 299), "match": MatchResult(), "scored": False, "dismissed": ()},
-        **{"pool": pool, "bands": INSIDE, "history": history, "residuals": Residuals(0.5, 7.0)},
-        **{"health": None, "monitor": Said(reservation, doubt), "trial": "", "trusted": (), "decimals": 2},
+        **{
+            "sample": 300,
+            "window": (0, 299),
+            "match": MatchResult(),
+            "scored": False,
+            "dismissed": (),
+        },
+        **{
+            "pool": pool,
+            "bands": INSIDE,
+            "history": history,
+            "residuals": Residuals(0.5, 7.0),
+        },
+        **{
+            "health": None,
+            "monitor": Said(reservation, doubt),
+            "trial": "",
+            "trusted": (),
+            "decimals": 2,
+        },
     }
     return Knowledge(**fields | changes)
 
@@ -123,26 +155,74 @@ def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
     ("changes", "level", "reason"),
     [
         ({}, TrustLevel.TRUSTED, "measurements lie within the forecast bands"),
-        ({"bands": BandCheck()}, TrustLevel.UNKNOWN, "no forecast has been compared with measurements yet"),
+        (
+            {"bands": BandCheck()},
+            TrustLevel.UNKNOWN,
+            "no forecast has been compared with measurements yet",
+        ),
         (
             {"bands": OUTSIDE, "outside": True},
             TrustLevel.DOUBTFUL,
             "measurements lie outside the forecast bands",
         ),
-        ({"bands": OUTSIDE, "miss_since": 241}, TrustLevel.TRUSTED, "measurements have just left"),
+        (
+            {"bands": OUTSIDE, "miss_since": 241},
+            TrustLevel.TRUSTED,
+            "measurements have just left",
+        ),
         ({"forecasts": (score(skill=POOR),)}, TrustLevel.DOUBTFUL, EVERYWHERE),
-        ({"forecasts": (score(skill=POOR, high=(0.9, 0.9)),)}, TrustLevel.UNKNOWN, EVERYWHERE),
-        ({"forecasts": (score(skill=(-0.5, math.nan)),)}, TrustLevel.DOUBTFUL, UNSURE.replace("60", "10")),
+        (
+            {"forecasts": (score(skill=POOR, high=(0.9, 0.9)),)},
+            TrustLevel.UNKNOWN,
+            EVERYWHERE,
+        ),
+        (
+            {"forecasts": (score(skill=(-0.5, math.nan)),)},
+            TrustLevel.DOUBTFUL,
+            UNSURE.replace("60", "10"),
+        ),
         ({"forecasts": (score(skill=(math.nan, math.nan)),)}, TrustLevel.UNKNOWN, FEW),
-        ({"forecasts": (score(skill=MIXED),)}, TrustLevel.TRUSTED, f"{HELD}, but {UNSURE}"),
-        ({"forecasts": (score(), score("other", POOR))}, TrustLevel.TRUSTED, "measurements lie within the"),
-        ({"health": faulty(Fault.DRIVE_LOST)}, TrustLevel.FAULT, "the plant shows drive-lost"),
-        ({"health": faulty(Fault.LOSSES_CHANGED)}, TrustLevel.DOUBTFUL, "the plant shows losses-changed"),
-        ({"health": faulty(Fault.DISTURBANCE)}, TrustLevel.DOUBTFUL, "the plant shows disturbance"),
-        ({"health": faulty(Fault.DRIVE_LOST, HealthState.SUSPECT)}, TrustLevel.TRUSTED, "measurements lie"),
+        (
+            {"forecasts": (score(skill=MIXED),)},
+            TrustLevel.TRUSTED,
+            f"{HELD}, but {UNSURE}",
+        ),
+        (
+            {"forecasts": (score(), score("other", POOR))},
+            TrustLevel.TRUSTED,
+            "measurements lie within the",
+        ),
+        (
+            {"health": faulty(Fault.DRIVE_LOST)},
+            TrustLevel.FAULT,
+            "the plant shows drive-lost",
+        ),
+        (
+            {"health": faulty(Fault.LOSSES_CHANGED)},
+            TrustLevel.DOUBTFUL,
+            "the plant shows losses-changed",
+        ),
+        (
+            {"health": faulty(Fault.DISTURBANCE)},
+            TrustLevel.DOUBTFUL,
+            "the plant shows disturbance",
+        ),
+        (
+            {"health": faulty(Fault.DRIVE_LOST, HealthState.SUSPECT)},
+            TrustLevel.TRUSTED,
+            "measurements lie",
+        ),
         # What it did in earlier sessions counts until this one has shown enough, and never against it.
-        ({"remembered": True, "forecasts": (score(skill=(math.nan, math.nan)),)}, TrustLevel.TRUSTED, BEFORE),
-        ({"remembered": True, "forecasts": (compared((0.9, 0.9), 0.1, GOOD),)}, TrustLevel.TRUSTED, BEFORE),
+        (
+            {"remembered": True, "forecasts": (score(skill=(math.nan, math.nan)),)},
+            TrustLevel.TRUSTED,
+            BEFORE,
+        ),
+        (
+            {"remembered": True, "forecasts": (compared((0.9, 0.9), 0.1, GOOD),)},
+            TrustLevel.TRUSTED,
+            BEFORE,
+        ),
         (
             {"remembered": True, "forecasts": (compared((1.5, 0.9), 0.1, GOOD),)},
             TrustLevel.DOUBTFUL,
@@ -158,16 +238,32 @@ def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
             TrustLevel.DOUBTFUL,
             "measurements lie outside",
         ),
-        ({"remembered": True, "bands": BandCheck()}, TrustLevel.UNKNOWN, "no forecast has been compared"),
-        ({"remembered": True}, TrustLevel.TRUSTED, "measurements lie within the forecast bands"),
+        (
+            {"remembered": True, "bands": BandCheck()},
+            TrustLevel.UNKNOWN,
+            "no forecast has been compared",
+        ),
+        (
+            {"remembered": True},
+            TrustLevel.TRUSTED,
+            "measurements lie within the forecast bands",
+        ),
         # The first reason that applies is given.
         (
             {"health": faulty(Fault.DRIVE_LOST), "bands": OUTSIDE, "outside": True},
             TrustLevel.FAULT,
             "the plant shows drive-lost",
         ),
-        ({"reservation": "not yet", "bands": BandCheck()}, TrustLevel.UNKNOWN, "not yet"),
-        ({"reservation": "not yet"}, TrustLevel.TRUSTED, "measurements lie within the forecast bands"),
+        (
+            {"reservation": "not yet", "bands": BandCheck()},
+            TrustLevel.UNKNOWN,
+            "not yet",
+        ),
+        (
+            {"reservation": "not yet"},
+            TrustLevel.TRUSTED,
+            "measurements lie within the forecast bands",
+        ),
         ({"doubt": "readings may be off"}, TrustLevel.DOUBTFUL, "readings may be off"),
         (
             {"doubt": "readings may be off", "health": faulty(Fault.ROOM_CHANGED)},
@@ -181,7 +277,9 @@ def faulty(fault: Fault, state: HealthState = HealthState.FAULT) -> Health:
         ),
     ],
 )
-def test_the_level_has_one_reason(changes: dict[str, Any], level: TrustLevel, reason: str) -> None:
+def test_the_level_has_one_reason(
+    changes: dict[str, Any], level: TrustLevel, reason: str
+) -> None:
     trust = trust_of(knowledge(**changes))
     assert trust.level is level
     assert trust.reason.startswith(reason)
@@ -194,8 +292,19 @@ def test_the_level_has_one_reason(changes: dict[str, Any], level: TrustLevel, re
     [
         # Half the error is 6.9 standard errors, 0.85 of it 1.6: that may stand, but not begin.
         ((0.5, 0.5), 0.1, GOOD, "", ""),
-        ((0.85, 0.5), 0.1, GOOD, "not surely better than saying that nothing changes, with 0.85", ""),
-        ((1.05, 0.5), 0.1, GOOD, *["not surely better than saying that nothing changes, with 1.05"] * 2),
+        (
+            (0.85, 0.5),
+            0.1,
+            GOOD,
+            "not surely better than saying that nothing changes, with 0.85",
+            "",
+        ),
+        (
+            (1.05, 0.5),
+            0.1,
+            GOOD,
+            *["not surely better than saying that nothing changes, with 1.05"] * 2,
+        ),
         ((0.5, 0.5), 1.0, GOOD, "not surely better", ""),
         # As good as ARX but for a tenth is enough, however sure the difference is.
         ((0.5, 1.09), 0.01, (0.9, 20.0), "", ""),
@@ -210,11 +319,17 @@ def test_the_level_has_one_reason(changes: dict[str, Any], level: TrustLevel, re
     ],
 )
 def test_trusted_is_more_than_chance(
-    errors: tuple[float, float], errs: float, coverage: tuple[float, float], new: str, standing: str
+    errors: tuple[float, float],
+    errs: float,
+    coverage: tuple[float, float],
+    new: str,
+    standing: str,
 ) -> None:
     """At a horizon not trusted before, and at one that was."""
     for before, doubt in (((), new), ((10.0,), standing)):
-        verdict = verdict_of(knowledge(forecasts=(compared(errors, errs, coverage),), trusted=before))
+        verdict = verdict_of(
+            knowledge(forecasts=(compared(errors, errs, coverage),), trusted=before)
+        )
         assert verdict.trusted == (() if doubt else (10.0,))
         assert doubt in verdict.doubts
         assert bool(doubt) == bool(verdict.doubts)
@@ -236,8 +351,14 @@ def test_the_parameters_of_the_structure_are_those_of_its_best_twin() -> None:
     best = score("best", structure=sink, gain=6.0)
     new = dataclasses.replace(score("new", structure=sink, gain=9.0), gain=math.nan)
     scores = (score(gain=99.0), new, worse, best)
-    assert verdict_of(knowledge(structure=sink, forecasts=scores)).structure_parameters == best.parameters
-    assert verdict_of(knowledge(structure=sink, forecasts=scores[:2])).structure_parameters == new.parameters
+    assert (
+        verdict_of(knowledge(structure=sink, forecasts=scores)).structure_parameters
+        == best.parameters
+    )
+    assert (
+        verdict_of(knowledge(structure=sink, forecasts=scores[:2])).structure_parameters
+        == new.parameters
+    )
     assert verdict_of(knowledge(structure=sink)).structure_parameters is None
     assert verdict_of(knowledge(forecasts=scores)).structure_parameters is None
 
@@ -252,10 +373,14 @@ def test_the_structure_has_parameters_of_its_own_and_a_leaders_if_it_has_that_st
         assert verdict.structure_parameters.model.structure_name == verdict.structure
         assert verdict.leading is not None
         if verdict.leading.parameters.model.structure_name == verdict.structure:
-            assert verdict.structure_parameters == verdict.leading.parameters, verdict.sample
+            assert verdict.structure_parameters == verdict.leading.parameters, (
+                verdict.sample
+            )
 
 
-def test_a_reading_that_was_refused_widens_no_range(simulated_session: list[Sample]) -> None:
+def test_a_reading_that_was_refused_widens_no_range(
+    simulated_session: list[Sample],
+) -> None:
     """The plate may have 120 °C, but cannot have jumped there and back."""
     twin = Twin()
     spike = 911
@@ -263,10 +388,16 @@ def test_a_reading_that_was_refused_widens_no_range(simulated_session: list[Samp
     for sample in simulated_session[: spike + 120]:
         reading = 120.0 if sample.index == spike else sample.output
         verdicts += twin.push(dataclasses.replace(sample, outputs=reading)).verdicts
-    assert [v.sample for v in verdicts if v.fault == "sensor-implausible"][:1] == [spike]
-    with_range = [v for v in verdicts if v.sample >= spike and not math.isnan(v.held_high)]
+    assert [v.sample for v in verdicts if v.fault == "sensor-implausible"][:1] == [
+        spike
+    ]
+    with_range = [
+        v for v in verdicts if v.sample >= spike and not math.isnan(v.held_high)
+    ]
     highest = max(s.output for s in simulated_session[: spike + 120])
     assert with_range
     assert {v.sample: v.held_high for v in with_range if v.held_high > highest} == {}
     after = [v for v in verdicts if v.sample > spike and not v.fault]
-    assert {v.level for v in after} == {TrustLevel.TRUSTED}, "a refused reading is not a miss of the band"
+    assert {v.level for v in after} == {TrustLevel.TRUSTED}, (
+        "a refused reading is not a miss of the band"
+    )

@@ -17,7 +17,12 @@ from twinmatch.dynamics import advance, begin, readings
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
 from twinmatch.twin import Snapshot, Twin, TwinSettings
-from twinmatch.twin.experiment import ExperimentError, ExperimentPhase, ExperimentReport, Wish
+from twinmatch.twin.experiment import (
+    ExperimentError,
+    ExperimentPhase,
+    ExperimentReport,
+    Wish,
+)
 from twinmatch.twin.live_experiment import LiveExperiment
 
 TAUGHT = 600
@@ -61,12 +66,20 @@ def run() -> tuple[list[ExperimentReport], list[Sample], Snapshot, Rig]:
     for _ in range(TAUGHT):
         rig.sample(lambda at: 30.0 if at < 300.0 else 45.0)
     before = rig.snapshot
-    live = LiveExperiment(SETTINGS, Wish("parameters", 4.0, ranges=((20.0, HIGHEST),)), before)
+    live = LiveExperiment(
+        SETTINGS, Wish("parameters", 4.0, ranges=((20.0, HIGHEST),)), before
+    )
     reports = [live.report, live.run()]
     samples = []
     while reports[-1].phase is ExperimentPhase.RUNNING:
         newest_report = reports[-1]
-        course = Profile(newest_report.levels, newest_report.holds, lowest=0.0, highest=90.0, unit="°C")
+        course = Profile(
+            newest_report.levels,
+            newest_report.holds,
+            lowest=0.0,
+            highest=90.0,
+            unit="°C",
+        )
         begun = rig.loop.time
         while True:
             samples.append(rig.sample(course.reference, begun))
@@ -83,9 +96,14 @@ Run = tuple[list[ExperimentReport], list[Sample], Snapshot, Rig]
 def test_it_is_proposed_runs_and_ends(run: Run) -> None:
     """With as much as was expected, or when its time is over; and by itself where it began."""
     reports, samples, *_ = run
-    assert [r.phase for r in reports[:2]] == [ExperimentPhase.PROPOSED, ExperimentPhase.RUNNING]
+    assert [r.phase for r in reports[:2]] == [
+        ExperimentPhase.PROPOSED,
+        ExperimentPhase.RUNNING,
+    ]
     assert reports[-1].phase in {ExperimentPhase.DECIDED, ExperimentPhase.ENDED}
-    assert all(r.levels[-1] == 45.0 and len(r.levels) == len(r.holds) for r in reports[:-1])
+    assert all(
+        r.levels[-1] == 45.0 and len(r.levels) == len(r.holds) for r in reports[:-1]
+    )
     assert all(20.0 <= level <= HIGHEST for r in reports for level in r.levels)
     assert len(samples) <= 240 + 60  # its time, and the wait for a verdict
     assert reports[-1].reason.endswith(f"{reports[-1].expected:.3g} were expected")
@@ -112,10 +130,14 @@ def test_a_course_is_kept_unless_another_is_better(run: Run) -> None:
 def test_it_ends_with_a_fault_and_with_lost_samples(run: Run) -> None:
     *_, before, rig = run
     assert rig.verdict is not None
-    sick = replace(rig.verdict, level=TrustLevel.FAULT, level_reason="the plant shows drive-lost")
+    sick = replace(
+        rig.verdict, level=TrustLevel.FAULT, level_reason="the plant shows drive-lost"
+    )
     live = LiveExperiment(SETTINGS, Wish("parameters", 2.0), before)
     live.run()
-    assert live.judged(sick, before).reason.startswith("stopped: the plant shows drive-lost; it brought 0 ")
+    assert live.judged(sick, before).reason.startswith(
+        "stopped: the plant shows drive-lost; it brought 0 "
+    )
     live = LiveExperiment(SETTINGS, Wish("parameters", 2.0), before)
     live.run()
     for k in (0, 1, 3):
@@ -139,7 +161,11 @@ def test_what_cannot_be_run_is_said(run: Run) -> None:
     open_loop = replace(SETTINGS, law=None)
     for settings, wish, words in (
         (open_loop, Wish("parameters"), "the law of the loop is not known"),
-        (SETTINGS, Wish("parameters", 0.1), "6 samples of 1 s; give 30 to 20000 of them"),
+        (
+            SETTINGS,
+            Wish("parameters", 0.1),
+            "6 samples of 1 s; give 30 to 20000 of them",
+        ),
         (SETTINGS, Wish("parameters", within=(150.0, 160.0)), "give LOW below HIGH"),
         (SETTINGS, Wish("fault"), "is not confused with it"),
     ):

@@ -50,13 +50,18 @@ def stand_ins(before: Sample, after: Sample, longest: int = LONGEST) -> list[Sam
 
 
 @given(
-    first=st.integers(0, 10**6), missing=st.integers(0, 12), y=st.floats(-50, 150), after=st.floats(-50, 150)
+    first=st.integers(0, 10**6),
+    missing=st.integers(0, 12),
+    y=st.floats(-50, 150),
+    after=st.floats(-50, 150),
 )
 def test_stand_ins_fill_a_short_gap_and_say_what_they_are(
     first: int, missing: int, y: float, after: float
 ) -> None:
     before = Sample(first, 10**9 * first, 30.0, y, 12.0, (1.0,))
-    next_sample = Sample(first + missing + 1, 10**9 * (first + missing + 1), 40.0, after, 13.0, (2.0,))
+    next_sample = Sample(
+        first + missing + 1, 10**9 * (first + missing + 1), 40.0, after, 13.0, (2.0,)
+    )
     filled = stand_ins(before, next_sample)
     if missing > LONGEST:
         assert filled == []
@@ -64,7 +69,9 @@ def test_stand_ins_fill_a_short_gap_and_say_what_they_are(
     assert [s.index for s in filled] == list(range(before.index + 1, next_sample.index))
     assert [s.stamp for s in filled] == [10**9 * s.index for s in filled]
     assert not any(s.seen for s in filled)
-    assert all((s.reference, s.input, s.disturbances) == (30.0, 12.0, (1.0,)) for s in filled)
+    assert all(
+        (s.reference, s.input, s.disturbances) == (30.0, 12.0, (1.0,)) for s in filled
+    )
     levels = [y, *(s.output for s in filled), after]
     np.testing.assert_allclose(np.diff(levels), (after - y) / (missing + 1), atol=1e-9)
 
@@ -88,25 +95,39 @@ def test_the_law_says_when_a_set_point_moved_that_nobody_saw(
             *lost, _ = filler.take(simulated_session[begin + length])
             true = simulated_session[begin : begin + length]
             assert [s.index for s in lost] == [s.index for s in true]
-            misplaced = sum(a.reference != b.reference for a, b in zip(lost, true, strict=True))
-            assert misplaced <= length // 3  # of three, nobody saw most of what the step did
+            misplaced = sum(
+                a.reference != b.reference for a, b in zip(lost, true, strict=True)
+            )
+            # of three, nobody saw most of what the step did
+            assert misplaced <= length // 3
             true_inputs = np.array([s.input for s in true])
             filled_error = np.linalg.norm(true_inputs - [s.input for s in lost])
-            held_error = np.linalg.norm(true_inputs - simulated_session[begin - 1].input)
+            held_error = np.linalg.norm(
+                true_inputs - simulated_session[begin - 1].input
+            )
             assert misplaced or filled_error < 0.5 * held_error
             assert not any(s.seen for s in lost)
 
 
-def test_steps_that_fall_into_gaps_on_the_rig_are_found(recorded_hour: Callable[[int], Window]) -> None:
+def test_steps_that_fall_into_gaps_on_the_rig_are_found(
+    recorded_hour: Callable[[int], Window],
+) -> None:
     """And a lost input is a third as wrong as a held one, all of the seven hours' steps taken together."""
     placed = []
     filled_errors = []
     held_errors = []
     for number in (1, 2, 5, 9, 14, 20, 27):
         samples = samples_of(recorded_hour(number))
-        steps = [k for k in range(61, len(samples) - 3) if samples[k].reference != samples[k - 1].reference]
+        steps = [
+            k
+            for k in range(61, len(samples) - 3)
+            if samples[k].reference != samples[k - 1].reference
+        ]
         for first, length in (
-            (k - early, early + late) for k in steps for early in (0, 1) for late in (1, 2)
+            (k - early, early + late)
+            for k in steps
+            for early in (0, 1)
+            for late in (1, 2)
         ):
             filler = GapFiller(TwinSettings().law, LONGEST)
             for sample in samples[max(first - 80, 0) : first]:
@@ -114,7 +135,9 @@ def test_steps_that_fall_into_gaps_on_the_rig_are_found(recorded_hour: Callable[
             *lost, _ = filler.take(samples[first + length])
             true = samples[first : first + length]
             placed.append([s.reference for s in lost] == [s.reference for s in true])
-            filled_errors += [a.input - b.input for a, b in zip(lost, true, strict=True)]
+            filled_errors += [
+                a.input - b.input for a, b in zip(lost, true, strict=True)
+            ]
             held_errors += [samples[first - 1].input - s.input for s in true]
     assert len(placed) > 200
     assert np.mean(placed) > 0.95
@@ -146,7 +169,9 @@ def test_samples_lost_at_random_change_little_and_restart_nothing(
     assert len(lost) > 20
     outcomes = outcomes_of([s for s in session if s.index not in lost])
     assert windows_of(outcomes) == windows_of(outcomes_of_all)
-    for verdict, whole in zip(verdicts_of(outcomes), verdicts_of(outcomes_of_all), strict=True):
+    for verdict, whole in zip(
+        verdicts_of(outcomes), verdicts_of(outcomes_of_all), strict=True
+    ):
         assert (verdict.match, verdict.level) == (whole.match, whole.level)
         assert {c.name for c in verdict.modelled} == {c.name for c in whole.modelled}
     last = verdicts_of(outcomes)[-1]
@@ -157,10 +182,14 @@ def test_samples_lost_at_random_change_little_and_restart_nothing(
         for name, value in candidate.parameters.items():
             # Two in a hundred samples fewer shift an estimate by a part of its standard error, 1 to 5 % here.
             scale = candidate.parameters.model.declared[name].scale
-            assert value == pytest.approx(whole_parameters[candidate.name][name], abs=0.05 * scale)
+            assert value == pytest.approx(
+                whole_parameters[candidate.name][name], abs=0.05 * scale
+            )
 
 
-def test_a_step_that_falls_into_a_gap_ends_the_same_window(simulated_session: list[Sample]) -> None:
+def test_a_step_that_falls_into_a_gap_ends_the_same_window(
+    simulated_session: list[Sample],
+) -> None:
     step = STEPS[1]
     samples = simulated_session[: step + 70]
     received = [s for s in samples if s.index not in {step, step + 1}]
@@ -173,20 +202,29 @@ def test_a_step_that_falls_into_a_gap_ends_the_same_window(simulated_session: li
 def test_behind_a_long_gap_windows_start_over(simulated_session: list[Sample]) -> None:
     def oldest_behind(missing: int) -> int:
         received = [s for s in simulated_session if not 300 <= s.index < 300 + missing]
-        return min(v.first for v in verdicts_of(outcomes_of(received[:420])) if v.sample > 310)
+        return min(
+            v.first for v in verdicts_of(outcomes_of(received[:420])) if v.sample > 310
+        )
 
     assert oldest_behind(LONGEST) < 300
     assert oldest_behind(LONGEST + 1) == 300 + LONGEST + 1
 
 
-def test_what_stands_in_for_a_reading_is_not_fitted(simulated_session: list[Sample]) -> None:
+def test_what_stands_in_for_a_reading_is_not_fitted(
+    simulated_session: list[Sample],
+) -> None:
     """The values in its place may be anything: the parameters are the same to the last bit."""
     samples = simulated_session[:400]
     lost = {50, 51, 180, 181, 182, 300}
     matches = []
     for wrong in (0.0, 25.0):
         window = Window.from_samples(
-            [replace(s, outputs=s.output + wrong, seen=False) if s.index in lost else s for s in samples]
+            [
+                replace(s, outputs=s.output + wrong, seen=False)
+                if s.index in lost
+                else s
+                for s in samples
+            ]
         )
         matches.append(match(window, start=Peltier.model().parameters()))
     assert matches[0].accepted
@@ -197,15 +235,24 @@ def test_what_stands_in_for_a_reading_is_not_fitted(simulated_session: list[Samp
     assert matches[0].chi2 == pytest.approx(whole.chi2, rel=0.05)
 
 
-def test_a_window_with_too_few_samples_is_not_matched(simulated_session: list[Sample]) -> None:
-    window = Window.from_samples([replace(s, seen=s.index % 8 != 3) for s in simulated_session[:400]])
+def test_a_window_with_too_few_samples_is_not_matched(
+    simulated_session: list[Sample],
+) -> None:
+    window = Window.from_samples(
+        [replace(s, seen=s.index % 8 != 3) for s in simulated_session[:400]]
+    )
     assert window.share_seen == 0.875
     refused_match = match(window, start=Peltier.model().parameters())
     assert not refused_match.accepted
-    assert refused_match.reason == "only 88% of the window's samples were received; a match needs 90%"
+    assert (
+        refused_match.reason
+        == "only 88% of the window's samples were received; a match needs 90%"
+    )
 
 
-def test_a_filter_runs_through_a_lost_sample_and_knows_less(simulated_session: list[Sample]) -> None:
+def test_a_filter_runs_through_a_lost_sample_and_knows_less(
+    simulated_session: list[Sample],
+) -> None:
     whole, without = (StateFilter(Peltier.model().typical(), 1.0) for _ in range(2))
     for sample in simulated_session[:100]:
         whole.push(sample)
@@ -235,7 +282,9 @@ def test_the_mirrored_twins_run_through(simulated_session: list[Sample]) -> None
     )
 
 
-def test_a_window_says_what_it_holds_wherever_it_goes(simulated_session: list[Sample]) -> None:
+def test_a_window_says_what_it_holds_wherever_it_goes(
+    simulated_session: list[Sample],
+) -> None:
     samples = [replace(s, seen=s.index not in {5, 6}) for s in simulated_session[:20]]
     window = Window.from_samples(samples)
     assert window.share_seen == 0.9
@@ -247,7 +296,11 @@ def test_a_window_says_what_it_holds_wherever_it_goes(simulated_session: list[Sa
     np.testing.assert_array_equal(decoded.window.seen, window.seen)
     message = message_of(request, 0)
     message.lost = [99]
-    with pytest.raises(SignalError, match=r"lost samples \[99\] lie outside its window of 20 samples"):
+    with pytest.raises(
+        SignalError, match=r"lost samples \[99\] lie outside its window of 20 samples"
+    ):
         record_of(message)
-    with pytest.raises(SignalError, match=r"seen has shape \(2,\); give one truth value for each of 20"):
+    with pytest.raises(
+        SignalError, match=r"seen has shape \(2,\); give one truth value for each of 20"
+    ):
         replace(window, seen=np.array([True, False]))

@@ -41,7 +41,9 @@ def test_the_driven_twin_is_the_simulation_of_the_recorded_control() -> None:
     parameters = HELD(seebeck=0.05, conductance=0.5, heat_capacity=25.0)
     mirror = Mirror(parameters)
     driven = [mirror.push(s).driven_output[0] for s in samples_of(window)]
-    simulated = simulate_driven(parameters, window.input, states=begin(parameters, float(window.output[0])))
+    simulated = simulate_driven(
+        parameters, window.input, states=begin(parameters, float(window.output[0]))
+    )
     np.testing.assert_array_equal(driven, simulated.output)
 
 
@@ -96,16 +98,22 @@ def test_states_that_another_structure_has_too_stay_as_they_are() -> None:
     mirror = Mirror(RIG)
     for sample in samples_of(window)[:150]:
         before = mirror.push(sample)
-    with_mass = Peltier.model("sink with mass").parameters(**{n: RIG[n] for n in ("seebeck", "conductance")})
+    with_mass = Peltier.model("sink with mass").parameters(
+        **{n: RIG[n] for n in ("seebeck", "conductance")}
+    )
     mirror.parameters = with_mass
     after = mirror.push(samples_of(window)[150])
     assert set(before.closed_states) == {"plate"}
     assert set(after.closed_states) == {"plate", "sink"}
-    assert after.closed_states["plate"] == pytest.approx(after.closed_output[0] + 273.15)
+    assert after.closed_states["plate"] == pytest.approx(
+        after.closed_output[0] + 273.15
+    )
     assert abs(after.closed_output[0] - before.closed_output[0]) < 2.0
 
 
-def test_a_state_the_structure_before_did_not_have_is_found_from_the_newest_samples() -> None:
+def test_a_state_the_structure_before_did_not_have_is_found_from_the_newest_samples() -> (
+    None
+):
     """A twin of the right structure that takes over late is where one that ran all along is.
 
     The sink is not measured; after ten minutes of heating it is over 3 K away from the surroundings, where
@@ -129,7 +137,10 @@ def test_a_state_the_structure_before_did_not_have_is_found_from_the_newest_samp
     late_state = late.push(following)
     always_state = always.push(following)
     for twin in ("closed_states", "driven_states"):
-        assert abs(getattr(late_state, twin)["sink"] - getattr(always_state, twin)["sink"]) < away / 10
+        assert (
+            abs(getattr(late_state, twin)["sink"] - getattr(always_state, twin)["sink"])
+            < away / 10
+        )
     assert abs(late_state.driven_output[0] - driven) < 2.0
 
 
@@ -139,7 +150,12 @@ def test_without_a_loop_only_the_driven_twin_is_there() -> None:
     mirror = Mirror(TRUTH, None, period=PERIOD)
     states = [mirror.push(sample) for sample in samples]
     last = states[-1]
-    of_closed = [last.closed_output, last.closed_input, last.closed_residual_y, last.closed_residual_u]
+    of_closed = [
+        last.closed_output,
+        last.closed_input,
+        last.closed_residual_y,
+        last.closed_residual_u,
+    ]
     assert np.isnan([*of_closed, last.closed_rms_y, last.closed_rms_u]).all()
     assert np.isnan([*last.closed_states.values()]).all()
     # It starts from one reading, whose noise is forgotten slowly.

@@ -21,11 +21,15 @@ def outcomes() -> list[Outcome]:
     """A minute of a motor that is asked for six speeds in turn."""
     reference = np.repeat([50.0, 150.0, 90.0, -60.0, 120.0, 30.0], 240)
     sensor = Sensor(noise=0.2).realise(reference.size, 0.05, 3)
-    run = simulate_closed_loop(TRUTH, reference, states=begin(TRUTH, 0.0), law=Motor.loop, sensor=sensor)
+    run = simulate_closed_loop(
+        TRUTH, reference, states=begin(TRUTH, 0.0), law=Motor.loop, sensor=sensor
+    )
     twin = Twin(TwinSettings.of(Motor, period=0.05))
     return [
         twin.push(Sample(k, k * 50_000_000, float(r), float(y), float(u)))
-        for k, (r, y, u) in enumerate(zip(reference, run.output, run.input, strict=True))
+        for k, (r, y, u) in enumerate(
+            zip(reference, run.output, run.input, strict=True)
+        )
     ]
 
 
@@ -41,7 +45,8 @@ def test_its_parameters_are_found(outcomes: list[Outcome]) -> None:
         for i, name in enumerate(accepted_match.free):
             # Four standard errors: with three parameters in five matches one in 4000 suites would fail.
             assert (
-                abs(accepted_match.parameters[name] - TRUTH[name]) < 4 * accepted_match.standard_errors[i]
+                abs(accepted_match.parameters[name] - TRUTH[name])
+                < 4 * accepted_match.standard_errors[i]
             ), name
 
 
@@ -63,4 +68,6 @@ def test_its_linearised_plant_is_the_textbook_one() -> None:
     plant = linearised(TRUTH, 100.0, 0.05)
     k, r, j, b = (TRUTH[name] for name in ("k", "r", "j", "b"))
     assert plant.A[0, 0] == pytest.approx(np.exp(-(k * k / r + b) / j * 0.05), rel=1e-6)
-    assert plant.B[0, 0] / (1 - plant.A[0, 0]) == pytest.approx(k / (k * k + r * b), rel=1e-6)
+    assert plant.B[0, 0] / (1 - plant.A[0, 0]) == pytest.approx(
+        k / (k * k + r * b), rel=1e-6
+    )

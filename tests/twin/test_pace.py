@@ -12,12 +12,26 @@ from hypothesis import strategies as st
 from tests.support.plants import Lag, Motor, Tank
 from tests.support.servo import Servo
 from twinmatch.comparing import TrustLevel, Verdict
-from twinmatch.dynamics import Equations, Parameter, Plant, PlantError, Structure, begin, simulate_driven
+from twinmatch.dynamics import (
+    Equations,
+    Parameter,
+    Plant,
+    PlantError,
+    Structure,
+    begin,
+    simulate_driven,
+)
 from twinmatch.dynamics.pace import plant_scale, time_constant, time_scale
 from twinmatch.forecasting import HORIZONS, leads_of
 from twinmatch.health import HealthSettings
 from twinmatch.offline.judging import judge_samples
-from twinmatch.parameters.twin import recorded_values, settings_from, twin_table, twin_values, values_of
+from twinmatch.parameters.twin import (
+    recorded_values,
+    settings_from,
+    twin_table,
+    twin_values,
+    values_of,
+)
 from twinmatch.plants import PLANTS, Incubator, Peltier, TCLab
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Window
@@ -30,7 +44,9 @@ CLOCK = 720.0
 class House(Lag, name="house"):
     """The same plant by a slower clock."""
 
-    lag = Parameter(unit="s", default=5.0 * CLOCK, bounds=(0.5 * CLOCK, 50.0 * CLOCK), positive=True)
+    lag = Parameter(
+        unit="s", default=5.0 * CLOCK, bounds=(0.5 * CLOCK, 50.0 * CLOCK), positive=True
+    )
 
 
 class Shaft(Lag, name="shaft"):
@@ -40,7 +56,9 @@ class Shaft(Lag, name="shaft"):
 
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
         """One line."""
-        return Equations(rates={self.x: self.gain * self.u}, output=self.x, start={self.x: self.y})
+        return Equations(
+            rates={self.x: self.gain * self.u}, output=self.x, start={self.x: self.y}
+        )
 
 
 class Stated(Lag, name="stated"):
@@ -49,16 +67,30 @@ class Stated(Lag, name="stated"):
     time_constant = 20.0
 
 
-@pytest.mark.parametrize(("plant", "period"), [(Peltier, 1.0), (TCLab, 1.0), (Incubator, 3.0)])
-def test_shipped_plants_keep_their_windows_and_horizons(plant: type[Plant], period: float) -> None:
+@pytest.mark.parametrize(
+    ("plant", "period"), [(Peltier, 1.0), (TCLab, 1.0), (Incubator, 3.0)]
+)
+def test_shipped_plants_keep_their_windows_and_horizons(
+    plant: type[Plant], period: float
+) -> None:
     settings = TwinSettings.of(plant, period=period)
-    assert settings.schedule == replace(ScheduleSettings(), min_step=plant.output.least_step)
+    assert settings.schedule == replace(
+        ScheduleSettings(), min_step=plant.output.least_step
+    )
     assert settings.forecasts == ForecastSettings()
 
 
 @pytest.mark.parametrize(
     ("plant", "seconds"),
-    [(Lag, 5.0), (House, 3600.0), (Servo, 0.3), (Motor, 0.183), (Tank, 47.3), (Shaft, 0.0), (Stated, 20.0)],
+    [
+        (Lag, 5.0),
+        (House, 3600.0),
+        (Servo, 0.3),
+        (Motor, 0.183),
+        (Tank, 47.3),
+        (Shaft, 0.0),
+        (Stated, 20.0),
+    ],
 )
 def test_the_slow_time_constant_is_that_of_the_equations_or_the_files(
     plant: type[Plant], seconds: float
@@ -104,25 +136,36 @@ def test_one_setting_lengthens_all_and_what_is_given_wins() -> None:
     assert settings.schedule.span == 300
     assert (settings.schedule.capacity, settings.schedule.gap) == (1440, 10)
     assert settings.forecasts.horizons == tuple(2 * h for h in HORIZONS)
-    with_horizons = settings_from(twin_values("here", given_ | {"forecasts.horizons": [5.0, 50.0]}))
+    with_horizons = settings_from(
+        twin_values("here", given_ | {"forecasts.horizons": [5.0, 50.0]})
+    )
     assert with_horizons.forecasts.horizons == (5.0, 50.0)
     assert settings_from(values_of(with_horizons)) == with_horizons
 
 
 @pytest.mark.parametrize("period", [0.005, 0.01, 1.0, 60.0, 3600.0])
-def test_settings_are_recorded_as_they_are(period: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_are_recorded_as_they_are(
+    period: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for plant in (Lag, House):
         monkeypatch.setitem(PLANTS, plant.name, plant)
         usual = TwinSettings.of(plant, period=period)
         read_back = settings_from(values_of(usual))
-        assert (read_back.schedule, read_back.forecasts) == (usual.schedule, usual.forecasts)
+        assert (read_back.schedule, read_back.forecasts) == (
+            usual.schedule,
+            usual.forecasts,
+        )
 
 
 def test_sessions_without_recorded_horizons_keep_those_of_their_sample_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(PLANTS, "lag", Lag)
-    recorded = {p.name: p.default for p in twin_table(Lag) if not p.name.startswith("forecasts.")}
+    recorded = {
+        p.name: p.default
+        for p in twin_table(Lag)
+        if not p.name.startswith("forecasts.")
+    }
     recorded |= {"period": 30.0}
     scaled_forecasts = settings_from(recorded_values("here", recorded)).forecasts
     del recorded["schedule.scale"]
@@ -132,7 +175,9 @@ def test_sessions_without_recorded_horizons_keep_those_of_their_sample_time(
     assert scaled_forecasts.every == 300.0
 
 
-def watched(plant: type[Plant], lag: float, samples: int, lost: int = 600) -> list[Verdict]:
+def watched(
+    plant: type[Plant], lag: float, samples: int, lost: int = 600
+) -> list[Verdict]:
     """Verdicts on a simulated plant with so many samples in its lag, whose drive is lost at a sample."""
     period = lag / samples
     random = np.random.default_rng(1)
@@ -142,11 +187,15 @@ def watched(plant: type[Plant], lag: float, samples: int, lost: int = 600) -> li
     run = simulate_driven(truth, acting, states=begin(truth, 0.0), period=period)
     readings = run.output + random.normal(0.0, plant.output.noise, u.size)
     came = samples_of(Window(np.zeros(u.size), readings, u, period=period))
-    return list(judge_samples("one", came, TwinSettings.of(plant, period=period)).verdicts)
+    return list(
+        judge_samples("one", came, TwinSettings.of(plant, period=period)).verdicts
+    )
 
 
 @pytest.mark.parametrize("samples", [5, 60])
-def test_two_plants_that_differ_in_their_clock_get_the_same_verdicts(samples: int) -> None:
+def test_two_plants_that_differ_in_their_clock_get_the_same_verdicts(
+    samples: int,
+) -> None:
     """Sample by sample. No fault is named on the healthy plants."""
     verdicts = watched(Lag, 5.0, samples)
     slow_verdicts = watched(House, 5.0 * CLOCK, samples)
@@ -164,6 +213,12 @@ def test_the_lost_drive_of_a_slow_plant_is_named() -> None:
 
 
 def test_a_slow_sensor_may_repeat_its_reading_for_longer() -> None:
-    slow, fast = (HealthSettings.of(plant, 0.25 if plant is Lag else 180.0) for plant in (House, Lag))
+    slow, fast = (
+        HealthSettings.of(plant, 0.25 if plant is Lag else 180.0)
+        for plant in (House, Lag)
+    )
     assert (slow.frozen, slow.start) == (360.0, 1080.0)
-    assert (fast.frozen, fast.start) == (HealthSettings().frozen, HealthSettings().start)
+    assert (fast.frozen, fast.start) == (
+        HealthSettings().frozen,
+        HealthSettings().start,
+    )

@@ -13,7 +13,9 @@ from twinmatch.signals import FloatArray, Sample, Window
 from twinmatch.twin import Twin, TwinSettings
 
 
-def foretold(window: Window, settings: TwinSettings, newest: int, count: int) -> tuple[Twin, FloatArray]:
+def foretold(
+    window: Window, settings: TwinSettings, newest: int, count: int
+) -> tuple[Twin, FloatArray]:
     """A twin that has seen the samples up to one, and the measurements minus its forecast after it."""
     twin = Twin(settings)
     for k in range(newest + 1):
@@ -29,7 +31,9 @@ def foretold(window: Window, settings: TwinSettings, newest: int, count: int) ->
         )
     ahead = slice(newest + 1, newest + 1 + count)
     rows = window.disturbances[newest : newest + 1 + count]
-    forecast = twin.discriminator.forecaster.outlook().forecast(window.input[ahead], rows)
+    forecast = twin.discriminator.forecaster.outlook().forecast(
+        window.input[ahead], rows
+    )
     return twin, np.asarray(window.output[ahead] - forecast.output.mean)
 
 
@@ -51,7 +55,9 @@ def test_a_step_test_of_the_kit_forecasts_its_second_half(
 def test_a_switched_incubator_forecasts_five_minutes(incubator_folder: Path) -> None:
     """Half an hour of on and off tells the next five minutes to a few steps of the sensor."""
     window = read_run(incubator_folder, SECOND)
-    twin, errors = foretold(window, TwinSettings.of(Incubator, period=window.period), 700, 100)
+    twin, errors = foretold(
+        window, TwinSettings.of(Incubator, period=window.period), 700, 100
+    )
     assert twin.settings.law is None
     assert twin.discriminator.forecaster.leader is not None
     assert np.ptp(window.output[700:801]) > 4.0

@@ -24,14 +24,18 @@ def recorded(bed: float, box: float, noise: float = 0.0, size: int = 400) -> Win
     states[HEAVY.model.states.index("box")] += box
     heater = np.where(np.arange(size) % 150 < 20, 1.0, 0.0)
     room = np.full((size, 1), 21.0)
-    clean = simulate_driven(HEAVY, heater, states=states, period=3.0, disturbances=room).output
+    clean = simulate_driven(
+        HEAVY, heater, states=states, period=3.0, disturbances=room
+    ).output
     output = clean + noise * np.random.default_rng(1).standard_normal(size)
     return Window(np.zeros(size), output, heater, period=3.0, disturbances=room)
 
 
 @settings(deadline=None, max_examples=15)
 @given(bed=st.floats(0.0, 40.0), box=st.floats(-1.0, 4.0))
-def test_the_true_twin_lies_on_the_plant_wherever_it_began(bed: float, box: float) -> None:
+def test_the_true_twin_lies_on_the_plant_wherever_it_began(
+    bed: float, box: float
+) -> None:
     """Parameters are the plant's, so only the initial states can be off; they are not, to a hundredth."""
     window = recorded(bed, box)
     shown = response_on(HEAVY, window, None)
@@ -59,7 +63,13 @@ def test_a_wrong_twin_stays_wrong() -> None:
 def test_a_closed_loop_twin_begins_as_ever() -> None:
     motor = Motor.model().parameters()
     steps = np.repeat([20.0, 60.0, 40.0], 80)
-    window = Window(steps, steps + 0.1, np.full(240, 3.0), period=0.05, disturbances=np.zeros((240, 1)))
+    window = Window(
+        steps,
+        steps + 0.1,
+        np.full(240, 3.0),
+        period=0.05,
+        disturbances=np.zeros((240, 1)),
+    )
     shown = response_on(motor, window, Motor.loop)
     filed = simulate_window(motor, window)
     np.testing.assert_array_equal(shown.output, filed.output)
@@ -70,5 +80,6 @@ def test_a_closed_loop_twin_begins_as_ever() -> None:
 def test_too_short_a_window_takes_the_plant_files_states(size: int) -> None:
     window = recorded(5.0, 1.0, size=size)
     np.testing.assert_array_equal(
-        response_on(HEAVY, window, None).output, simulate_window(HEAVY, window, law=None).output
+        response_on(HEAVY, window, None).output,
+        simulate_window(HEAVY, window, law=None).output,
     )

@@ -33,13 +33,17 @@ from twinmatch.signals import Sample, Window
 from twinmatch.twin import Forecaster, Outcome, Twin, TwinSettings
 
 TRUTH = Heaters.model().parameters()
-LAW = PidLoops.of(*(PidGains(8.0, 0.06, 0.0, 0.05, low=0.0, high=100.0) for _ in range(2)))
+LAW = PidLoops.of(
+    *(PidGains(8.0, 0.06, 0.0, 0.05, low=0.0, high=100.0) for _ in range(2))
+)
 LEVELS = [(40.0, 40.0), (50.0, 40.0), (50.0, 55.0), (40.0, 45.0)]
 
 
 def looped(hold: int = 300) -> list[Sample]:
     references = np.repeat(np.array(LEVELS), hold, axis=0)
-    run = simulate_closed_loop(TRUTH, references, states=begin(TRUTH, [25.0, 25.0]), law=LAW)
+    run = simulate_closed_loop(
+        TRUTH, references, states=begin(TRUTH, [25.0, 25.0]), law=LAW
+    )
     y = run.outputs + 0.1 * np.random.default_rng(7).standard_normal(references.shape)
     return Window(references, y, run.inputs).samples(0)
 
@@ -54,7 +58,9 @@ def in_loop() -> list[Verdict]:
     return verdicts_of(TwinSettings.of(Heaters, law=LAW), looped())
 
 
-def test_a_family_of_several_loops_is_compared_by_gaps_of_matrices(in_loop: list[Verdict]) -> None:
+def test_a_family_of_several_loops_is_compared_by_gaps_of_matrices(
+    in_loop: list[Verdict],
+) -> None:
     last = [verdict for verdict in in_loop if not verdict.stands][-1]
     points = {candidate.operating_point for candidate in last.candidates}
     assert points <= {*LEVELS}
@@ -77,8 +83,13 @@ def test_the_gap_of_two_twins_is_that_of_their_plants(in_loop: list[Verdict]) ->
     other_twin = TRUTH.replace(exchange=0.03)
     loop = LoopConditions(None, spans_of(Heaters), 240, 1.0)
     gaps = plant_gaps((TRUTH, other_twin), [(40.0, 40.0)], loop)
-    systems = [StateSpace.of(linearised(parameters, [40.0, 40.0], 1.0)) for parameters in (TRUTH, other_twin)]
-    scaled = [system.scaled(loop.scales.output, loop.scales.input) for system in systems]
+    systems = [
+        StateSpace.of(linearised(parameters, [40.0, 40.0], 1.0))
+        for parameters in (TRUTH, other_twin)
+    ]
+    scaled = [
+        system.scaled(loop.scales.output, loop.scales.input) for system in systems
+    ]
     assert gaps.matrix[0, 1] == pytest.approx(matrix_nu_gap(*scaled), rel=1e-8)
     assert gaps.matrix[0, 1] > 0.01
     assert in_loop[-1].nu_gap[0][0] == 0.0
@@ -86,7 +97,12 @@ def test_the_gap_of_two_twins_is_that_of_their_plants(in_loop: list[Verdict]) ->
 
 def test_trust_is_said_of_each_signal(in_loop: list[Verdict]) -> None:
     last = in_loop[-1]
-    assert [trust.signal for trust in last.signals] == ["first", "second", "first_power", "second_power"]
+    assert [trust.signal for trust in last.signals] == [
+        "first",
+        "second",
+        "first_power",
+        "second_power",
+    ]
     assert last.trusted
     outputs = last.signals[:2]
     assert {*last.trusted} <= set.intersection(*({*trust.trusted} for trust in outputs))
@@ -103,21 +119,35 @@ def test_an_impossible_reading_is_a_fault_of_its_channel() -> None:
     for k in range(200, 240):
         y = samples[k].outputs
         u = samples[k].inputs
-        samples[k] = Sample(k, samples[k].stamp, samples[k].references, (y[0], math.nan), u)
+        samples[k] = Sample(
+            k, samples[k].stamp, samples[k].references, (y[0], math.nan), u
+        )
     twin = Twin(TwinSettings.of(Heaters, law=None))
     outcomes = [twin.push(sample) for sample in samples]
     faulty_verdicts = [v for outcome in outcomes for v in outcome.verdicts if v.fault]
-    assert {(v.fault, v.fault_signal) for v in faulty_verdicts} == {("sensor-implausible", "second")}
+    assert {(v.fault, v.fault_signal) for v in faulty_verdicts} == {
+        ("sensor-implausible", "second")
+    }
     assert faulty_verdicts[0].sample <= 205
-    estimates = [estimate for outcome in outcomes[:240] for estimate in outcome.estimates]
+    estimates = [
+        estimate for outcome in outcomes[:240] for estimate in outcome.estimates
+    ]
     assert {estimate.signal for estimate in estimates} == {"second"}
-    assert max(abs(estimate.value - right[estimate.sample].outputs[1]) for estimate in estimates) < 3.0
+    assert (
+        max(
+            abs(estimate.value - right[estimate.sample].outputs[1])
+            for estimate in estimates
+        )
+        < 3.0
+    )
     (alarm,) = twin.discriminator.monitor.alarms
     assert alarm.last is not None
     assert alarm.last <= 241
 
 
-def test_a_real_kit_is_trusted_in_a_loop_of_another_law(tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_real_kit_is_trusted_in_a_loop_of_another_law(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
     """Two set-points, stepped by ± 5 °C; a thousand seconds are put aside. Its law is not the file's."""
     session = kit_session("closed_loop_lqg", tmp_path_factory.mktemp("kit"))
     terms = terms_from_files(session)
@@ -187,11 +217,18 @@ def on_estimates() -> RunOnEstimates:
         if outcome.estimates and sample.index < 1100:
             integral = loop._pids[0].state[0]
             forecasters = (twin.discriminator.forecaster, uninformed)
-            run.errors.append([abs(forecaster.arx.controller[0] - integral) for forecaster in forecasters])
+            run.errors.append(
+                [
+                    abs(forecaster.arx.controller[0] - integral)
+                    for forecaster in forecasters
+                ]
+            )
     return run
 
 
-def test_a_law_that_ran_on_an_estimate_is_followed_with_that(on_estimates: RunOnEstimates) -> None:
+def test_a_law_that_ran_on_an_estimate_is_followed_with_that(
+    on_estimates: RunOnEstimates,
+) -> None:
     """With `read_through` the twin knows what its law was given."""
     assert len(on_estimates.errors) > 150
     # What was known of the integral at the change decays with the time of the back-calculation, 15.5 s.
@@ -199,7 +236,9 @@ def test_a_law_that_ran_on_an_estimate_is_followed_with_that(on_estimates: RunOn
     assert right < 0.1 * wrong
 
 
-def test_samples_of_a_law_that_ran_on_an_estimate_are_not_matched(on_estimates: RunOnEstimates) -> None:
+def test_samples_of_a_law_that_ran_on_an_estimate_are_not_matched(
+    on_estimates: RunOnEstimates,
+) -> None:
     """The samples after them are, as another session that begins with sample 0."""
     twin = on_estimates.twin
     samples = on_estimates.samples
@@ -209,7 +248,9 @@ def test_samples_of_a_law_that_ran_on_an_estimate_are_not_matched(on_estimates: 
     assert verdicts[-1].first <= newest_estimate
     # The law was given the newest estimate at the sample after it.
     until = newest_estimate + 1
-    assert verdicts[-1].reason.startswith(f"not matched: the law ran on an estimate until sample {until}")
+    assert verdicts[-1].reason.startswith(
+        f"not matched: the law ran on an estimate until sample {until}"
+    )
     session = [
         replace(sample, index=k, stamp=sample.stamp - samples[until + 1].stamp)
         for k, sample in enumerate(samples[until + 1 :])

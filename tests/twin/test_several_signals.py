@@ -9,7 +9,13 @@ import pytest
 
 from tests.support.exchanging import Heaters
 from twinmatch.comparing import Candidate
-from twinmatch.dynamics import LinearLaw, advance, begin, simulate_closed_loop, simulate_driven
+from twinmatch.dynamics import (
+    LinearLaw,
+    advance,
+    begin,
+    simulate_closed_loop,
+    simulate_driven,
+)
 from twinmatch.fitting import match
 from twinmatch.forecasting import Outlook
 from twinmatch.sessions import samples_of
@@ -54,7 +60,9 @@ def closed() -> Window:
         u = np.clip(LAW.C @ z + LAW.D @ y + LAW.E @ r + LAW.offset, LAW.low, LAW.high)
         z = LAW.A @ z + LAW.B @ y + LAW.F @ r
         rows.append(np.concatenate([r, y, u]))
-        x = simulate_driven(TRUTH, np.tile(u, (2, 1)), states=x, period=PERIOD).outputs[1]
+        x = simulate_driven(TRUTH, np.tile(u, (2, 1)), states=x, period=PERIOD).outputs[
+            1
+        ]
     whole = np.array(rows)
     return Window(whole[:, :2], whole[:, 2:4], whole[:, 4:], period=PERIOD)
 
@@ -94,7 +102,9 @@ def test_who_has_the_right_physics_leads() -> None:
     assert all(skill > 0.3 for skill in right.persistence_skill)
     assert all(
         right_skill > wrong_skill
-        for right_skill, wrong_skill in zip(right.arx_skill[1:], wrong.arx_skill[1:], strict=True)
+        for right_skill, wrong_skill in zip(
+            right.arx_skill[1:], wrong.arx_skill[1:], strict=True
+        )
     )
     assert forecaster.confidence > 0.9
 
@@ -115,7 +125,10 @@ def test_each_output_has_a_band_of_its_own_that_holds() -> None:
         ].T.tolist()
         came = window.outputs[newest + 1 : newest + 151].T
         shares.append(
-            [np.mean((b.low <= y) & (y <= b.high)) for b, y in zip(forecast.outputs, came, strict=True)]
+            [
+                np.mean((b.low <= y) & (y <= b.high))
+                for b, y in zip(forecast.outputs, came, strict=True)
+            ]
         )
         widths.append([np.mean(b.high - b.low) for b in forecast.outputs])
     coverage = np.mean(shares, axis=0)
@@ -129,15 +142,22 @@ def test_a_note_names_the_output_that_leaves_what_was_visited() -> None:
     outlook = list(judged()[1].values())[-1]
     notes = outlook.forecast(np.tile([100.0, 0.0], (150, 1))).notes
     assert any(note.startswith("the forecast of first covers") for note in notes)
-    assert any("a constant input of 100 % and" in n or "the given inputs" in n for n in notes)
-    with pytest.raises(SignalError, match="output: there are 2 of them; this is for a loop with one of each"):
+    assert any(
+        "a constant input of 100 % and" in n or "the given inputs" in n for n in notes
+    )
+    with pytest.raises(
+        SignalError,
+        match="output: there are 2 of them; this is for a loop with one of each",
+    ):
         _ = outlook.forecast(np.tile([50.0, 50.0], (5, 1))).output
 
 
 def test_a_loop_with_several_signals_is_forecast_with_its_commands() -> None:
     window = closed()
     forecaster = Forecaster(LAW, SETTINGS)
-    forecaster.enter([Candidate("wrong", 40.0, WRONG, None), Candidate("right", 40.0, TRUTH, None)])
+    forecaster.enter(
+        [Candidate("wrong", 40.0, WRONG, None), Candidate("right", 40.0, TRUTH, None)]
+    )
     inside = []
     for sample in samples_of(window):
         forecaster.push(sample)
@@ -151,9 +171,15 @@ def test_a_loop_with_several_signals_is_forecast_with_its_commands() -> None:
     ahead = np.tile(window.references[-1], (100, 1))
     forecast = outlook.forecast(ahead)
     begun = advance(TRUTH, outlook.states, outlook.sample.inputs, PERIOD)
-    run = simulate_closed_loop(TRUTH, ahead, states=begun, law=LAW, controller=outlook.controller)
-    np.testing.assert_allclose([band.mean for band in forecast.outputs], run.outputs.T, atol=1e-9)
-    np.testing.assert_allclose([band.mean for band in forecast.inputs], run.inputs.T, atol=1e-9)
+    run = simulate_closed_loop(
+        TRUTH, ahead, states=begun, law=LAW, controller=outlook.controller
+    )
+    np.testing.assert_allclose(
+        [band.mean for band in forecast.outputs], run.outputs.T, atol=1e-9
+    )
+    np.testing.assert_allclose(
+        [band.mean for band in forecast.inputs], run.inputs.T, atol=1e-9
+    )
     for band, low, high in zip(forecast.inputs, LAW.low, LAW.high, strict=True):
         assert (band.low >= low).all()
         assert (band.high <= high).all()
@@ -164,7 +190,9 @@ def test_the_structure_that_the_samples_support_is_chosen() -> None:
     choice = choose_structure(driven().part(0, 599), models, law=None)
     assert choice.chosen == "all"
     apart, whole = choice.scores
-    for free, error in zip(models[1].structure.free, whole.fitted.covariance.diagonal() ** 0.5, strict=True):
+    for free, error in zip(
+        models[1].structure.free, whole.fitted.covariance.diagonal() ** 0.5, strict=True
+    ):
         assert abs(choice.parameters[free] - TRUTH[free]) < 4.0 * error, free
     assert np.isnan(whole.fit[1])
     assert whole.fit[0] > 0.95 > apart.fit[0]
@@ -200,7 +228,14 @@ def test_lost_samples_of_several_signals_count_nowhere() -> None:
         away = sample.index % 97 == 3
         values = tuple(y + 20.0 for y in sample.outputs)
         lost.push(
-            Sample(sample.index, sample.stamp, sample.references, values, sample.inputs, seen=False)
+            Sample(
+                sample.index,
+                sample.stamp,
+                sample.references,
+                values,
+                sample.inputs,
+                seen=False,
+            )
             if away
             else sample
         )
@@ -208,7 +243,9 @@ def test_lost_samples_of_several_signals_count_nowhere() -> None:
     assert lost.scores[0].gain == pytest.approx(whole.scores[0].gain, abs=0.1)
 
 
-def test_a_match_of_several_loops_is_called_as_precisely_as_its_signals_are_shown() -> None:
+def test_a_match_of_several_loops_is_called_as_precisely_as_its_signals_are_shown() -> (
+    None
+):
     first, second = Heaters.outputs.values()
     decimals = (first.decimals, second.decimals)
     assert max(decimals) <= 2

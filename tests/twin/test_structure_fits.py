@@ -25,12 +25,16 @@ RICHEST = "sink with mass, free ambient, switched drive"
 
 
 def candidates_only(models: tuple[Model, ...] = watched(Peltier)) -> StructureFits:
-    return StructureFits(models, Noise.of(Peltier), GAINS, matched=models[0], choice=NEVER)
+    return StructureFits(
+        models, Noise.of(Peltier), GAINS, matched=models[0], choice=NEVER
+    )
 
 
 def choices_only() -> StructureFits:
     """Chooses between two structures, every 300 samples; neither competes."""
-    return StructureFits(TWO, Noise.of(Peltier), GAINS, matched=TWO[1], choice=(300.0, 300.0, 300.0))
+    return StructureFits(
+        TWO, Noise.of(Peltier), GAINS, matched=TWO[1], choice=(300.0, 300.0, 300.0)
+    )
 
 
 def chosen(fits: StructureFits, window: Window) -> StructureChoice | None:
@@ -49,14 +53,18 @@ def plant_after(fits: StructureFits, window: Window) -> Parameters:
 
 def rich(fits: StructureFits) -> Parameters:
     """The fit of the structure that was recorded."""
-    return next(c.parameters for c in fits.candidates if c.parameters.model is RIG.model)
+    return next(
+        c.parameters for c in fits.candidates if c.parameters.model is RIG.model
+    )
 
 
 @pytest.fixture(scope="module")
 def hour() -> Window:
     reference = np.repeat([50.0, 30.0, 75.0, 45.0, 60.0], 200)
     sensor = Peltier.sensor.realise(reference.size, 1.0, 8)
-    run = simulate_closed_loop(PLAIN, reference, states=begin(PLAIN, 21.85), sensor=sensor)
+    run = simulate_closed_loop(
+        PLAIN, reference, states=begin(PLAIN, 21.85), sensor=sensor
+    )
     return Window(reference, run.output, run.input)
 
 
@@ -64,7 +72,9 @@ def hour() -> Window:
 
 
 def test_the_plant_file_says_what_is_watched() -> None:
-    without_external = [model for model in watched(Peltier) if model.structure.external is None]
+    without_external = [
+        model for model in watched(Peltier) if model.structure.external is None
+    ]
     assert [model.structure_name for model in without_external] == [
         "held sink",
         "sink with mass",
@@ -73,7 +83,9 @@ def test_the_plant_file_says_what_is_watched() -> None:
     ]
 
 
-def test_it_chooses_every_so_many_samples_and_a_replay_chooses_the_same(hour: Window) -> None:
+def test_it_chooses_every_so_many_samples_and_a_replay_chooses_the_same(
+    hour: Window,
+) -> None:
     figures = []
     for _ in range(2):
         fits = choices_only()
@@ -84,7 +96,8 @@ def test_it_chooses_every_so_many_samples_and_a_replay_chooses_the_same(hour: Wi
         assert choice is not None
         assert choice.chosen == "held sink"
         np.testing.assert_array_equal(
-            choice.score.evidence, np.concatenate([c.score.held_back for c in choices if c])
+            choice.score.evidence,
+            np.concatenate([c.score.held_back for c in choices if c]),
         )
         figures.append((choice.parameters, choice.score.evidence.tolist()))
     assert figures[0] == figures[1]
@@ -93,7 +106,9 @@ def test_it_chooses_every_so_many_samples_and_a_replay_chooses_the_same(hour: Wi
 def test_times_are_scaled_for_slow_samples(hour: Window) -> None:
     """At 5 s, 1500 s are 300 samples; the forecasts' horizons are counted in the same way."""
     times = (1500.0, 1500.0, 1500.0)
-    fits = StructureFits(TWO, Noise.of(Peltier), None, 5.0, matched=TWO[1], choice=times)
+    fits = StructureFits(
+        TWO, Noise.of(Peltier), None, 5.0, matched=TWO[1], choice=times
+    )
     choices = [chosen(fits, hour.part(k, k + 99)) for k in range(0, 700, 100)]
     assert [c.samples for c in choices if c] == [(0, 299), (300, 599)]
 
@@ -148,7 +163,9 @@ def test_a_gap_or_a_clock_set_back_starts_over(hour: Window) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_plant_now_is_the_richest_structure_and_near_the_one_that_was_recorded(seed: int) -> None:
+def test_the_plant_now_is_the_richest_structure_and_near_the_one_that_was_recorded(
+    seed: int,
+) -> None:
     """Nearer by far than a rig whose plate holds a third more heat."""
     plant_now = plant_after(candidates_only(), recorded(RIG, seed))
     assert plant_now.model.structure_name == RICHEST
@@ -191,11 +208,14 @@ def test_all_but_the_matched_compete_and_a_fit_says_where_its_states_were() -> N
     fits.push(window, excited=True)
     assert {c.parameters.model for c in fits.candidates} == set(watched(Peltier)[1:])
     best = fits.candidates[0]
-    charges = [fits._competitors[candidate.name].fit.charge for candidate in fits.candidates]
+    charges = [
+        fits._competitors[candidate.name].fit.charge for candidate in fits.candidates
+    ]
     assert charges == sorted(charges), "the fit that is worth most goes first"
     states = best.states_at(window.last)
     assert states is not None
-    assert states[0] - 273.15 == pytest.approx(window.output[-1], abs=0.5)  # five times the noise
+    # five times the noise
+    assert states[0] - 273.15 == pytest.approx(window.output[-1], abs=0.5)
     assert best.states_at(window.last + 1) is None
     assert best.states_at(-1) is None
 

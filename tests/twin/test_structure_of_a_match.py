@@ -36,14 +36,23 @@ LATE = "sensor lag, dead time"
 def kit(late: int, seed: int, size: int = 480) -> list[Sample]:
     """A kit under steps of its heater, which acts exactly `late` samples later."""
     random = np.random.default_rng(seed)
-    plant = TCLab.model("sensor lag").typical().replace(ambient=random.uniform(291.0, 298.0), sensor_lag=8.0)
-    power = np.repeat(random.uniform(0.0, 100.0, size), random.integers(8, 30, size))[:size]
-    power[:10] = 0.0  # at rest: the start of the heater's temperature is the first reading
+    plant = (
+        TCLab.model("sensor lag")
+        .typical()
+        .replace(ambient=random.uniform(291.0, 298.0), sensor_lag=8.0)
+    )
+    power = np.repeat(random.uniform(0.0, 100.0, size), random.integers(8, 30, size))[
+        :size
+    ]
+    # at rest: the start of the heater's temperature is the first reading
+    power[:10] = 0.0
     states = begin(plant, plant["ambient"] - 273.15)
     samples = []
     for k in range(size):
         reading = read(plant, states) + 0.1 * random.standard_normal()
-        samples.append(Sample(k, round(k * PERIOD * 1e9), reading, reading, float(power[k])))
+        samples.append(
+            Sample(k, round(k * PERIOD * 1e9), reading, reading, float(power[k]))
+        )
         states = advance(plant, states, power[max(0, k - late)], PERIOD)
     return samples
 
@@ -70,15 +79,23 @@ def test_a_dead_time_is_found() -> None:
     last = judgement.verdicts[-1]
     assert first.accepted
     assert structure_of(first) == LATE
-    assert first.parameters["dead_time"] == pytest.approx(PERIOD * late, abs=PERIOD / 3.0)
+    assert first.parameters["dead_time"] == pytest.approx(
+        PERIOD * late, abs=PERIOD / 3.0
+    )
     assert last.structure == structure_of_leader(last) == LATE
-    assert any(score.name == LATE for score in last.forecasts), "it competes as a structure, too"
+    assert any(score.name == LATE for score in last.forecasts), (
+        "it competes as a structure, too"
+    )
 
 
 def test_without_one_the_first_structure_stays() -> None:
     judgement = judged(kit(0, 1, 300))
-    assert {structure_of(report.match) for report in judgement.matches} == {"sensor lag"}
-    assert LATE not in {score.name for verdict in judgement.verdicts for score in verdict.forecasts}
+    assert {structure_of(report.match) for report in judgement.matches} == {
+        "sensor lag"
+    }
+    assert LATE not in {
+        score.name for verdict in judgement.verdicts for score in verdict.forecasts
+    }
 
 
 def request(window: Window) -> MatchRequest:
@@ -110,7 +127,10 @@ def test_who_says_what_is_free_has_chosen() -> None:
 def test_a_real_kit_whose_table_holds_the_input_early_is_matched(name: str) -> None:
     rows = kit_rows("tclab_other", name)
     judgement = judged(
-        [Sample(k, round(r["Time"] * 1e9), r["T1"], r["T1"], r["Q1"], (r["Q2"],)) for k, r in enumerate(rows)]
+        [
+            Sample(k, round(r["Time"] * 1e9), r["T1"], r["T1"], r["Q1"], (r["Q2"],))
+            for k, r in enumerate(rows)
+        ]
     )
     (report,) = judgement.matches
     assert report.match.status is Status.ACCEPTED, report.match.reason
@@ -125,7 +145,9 @@ class PromptKit(Plant, name="prompt_kit"):
     """A heater behind a lag, in a file without a dead time."""
 
     time_constant = 100.0
-    temperature = Output(unit="°C", noise=0.1, span=(0.0, 150.0), set_points=(25.0, 70.0))
+    temperature = Output(
+        unit="°C", noise=0.1, span=(0.0, 150.0), set_points=(25.0, 70.0)
+    )
     power = Drive(unit="%", limits=(0.0, 100.0), noise=1.0)
     heater = State(unit="°C", span=(0.0, 200.0))
     gain = Parameter(unit="K/%", default=0.8, bounds=(0.1, 5.0), positive=True)
@@ -134,8 +156,12 @@ class PromptKit(Plant, name="prompt_kit"):
 
     def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
         """One energy balance above a room of 20 °C."""
-        rates = {self.heater: (self.gain * self.power - (self.heater - 20.0)) / self.lag}
-        return Equations(rates=rates, output=self.heater, start={self.heater: self.temperature})
+        rates = {
+            self.heater: (self.gain * self.power - (self.heater - 20.0)) / self.lag
+        }
+        return Equations(
+            rates=rates, output=self.heater, start={self.heater: self.temperature}
+        )
 
 
 PROMPT = TwinSettings.of(PromptKit, period=PERIOD, law=None)
@@ -148,8 +174,12 @@ def prompt_window(late: int) -> Window:
     power[:10] = 0.0
     acts = np.concatenate([np.zeros(late), power])[: power.size]
     heater = PromptKit.model().parameters(gain=0.7, lag=120.0)
-    moved = simulate_driven(heater, acts, states=begin(heater, 20.0), period=PERIOD).output
-    return Window(moved, moved + random.normal(0.0, 0.1, moved.size), power, period=PERIOD)
+    moved = simulate_driven(
+        heater, acts, states=begin(heater, 20.0), period=PERIOD
+    ).output
+    return Window(
+        moved, moved + random.normal(0.0, 0.1, moved.size), power, period=PERIOD
+    )
 
 
 def test_a_match_names_the_dead_time_that_no_structure_has() -> None:
@@ -157,11 +187,15 @@ def test_a_match_names_the_dead_time_that_no_structure_has() -> None:
     asked = request(prompt_window(late))._replace(start=PROMPT.start)
     refused_match = carry_out(asked, PROMPT).match
     assert refused_match.status is Status.NOT_EXPLAINED
-    dead_time, separator, explained = refused_match.reason.split("; ")[-1].partition(" s would explain ")
+    dead_time, separator, explained = refused_match.reason.split("; ")[-1].partition(
+        " s would explain "
+    )
     assert separator, refused_match.reason
     assert int(explained.split("%")[0]) > 90
     # A dead time of a few states rounds off an exact one of two or three samples.
-    assert float(dead_time.removeprefix("a dead time of about ")) == pytest.approx(late * PERIOD, abs=1.0)
+    assert float(dead_time.removeprefix("a dead time of about ")) == pytest.approx(
+        late * PERIOD, abs=1.0
+    )
 
 
 def test_no_dead_time_is_named_that_explains_nothing() -> None:

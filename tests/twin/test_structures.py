@@ -16,9 +16,13 @@ from twinmatch.twin.structures import choose_structure
 
 FULL = "sink with mass, free ambient, switched drive"
 PLATE = {"seebeck": 0.065, "conductance": 0.65, "heat_capacity": 31.0}
-RICH = Peltier.model(FULL).parameters(**PLATE, ambient=291.0, sink_heat_capacity=280.0, sink_convection=2.5)
+RICH = Peltier.model(FULL).parameters(
+    **PLATE, ambient=291.0, sink_heat_capacity=280.0, sink_convection=2.5
+)
 PLAIN = Peltier.model().parameters(**PLATE)
-SOME = tuple(map(Peltier.model, ("held sink", "held sink, free ambient", "sink with mass", FULL)))
+SOME = tuple(
+    map(Peltier.model, ("held sink", "held sink, free ambient", "sink with mass", FULL))
+)
 ALL = tuple(map(Peltier.model, Peltier.structures))
 
 
@@ -39,18 +43,26 @@ def test_a_plain_plant_is_not_sold_richness(seed: int) -> None:
 def test_a_rich_plant_justifies_its_sink(seed: int) -> None:
     choice = choose_structure(recorded(RICH, seed), SOME)
     assert choice.chosen == FULL
-    assert choice.parameters["conductance"] == pytest.approx(RICH["conductance"], rel=0.1)
-    assert choice.sentence.startswith(f"free runs on samples held back choose: {FULL} (off by ")
+    assert choice.parameters["conductance"] == pytest.approx(
+        RICH["conductance"], rel=0.1
+    )
+    assert choice.sentence.startswith(
+        f"free runs on samples held back choose: {FULL} (off by "
+    )
 
 
 def test_evidence_adds_over_samples_that_follow() -> None:
     window = recorded(PLAIN, 3)
     first = choose_structure(window.part(0, 599), SOME, thorough=False)
-    second = choose_structure(window.part(600, 1199), SOME, previous=first, thorough=False)
+    second = choose_structure(
+        window.part(600, 1199), SOME, previous=first, thorough=False
+    )
     for score in second.scores:
         both = [*first.of(score.name).held_back, *score.held_back]
         np.testing.assert_array_equal(score.evidence, both)
-    overlapping = choose_structure(window.part(500, 1199), SOME, previous=first, thorough=False)
+    overlapping = choose_structure(
+        window.part(500, 1199), SOME, previous=first, thorough=False
+    )
     assert all(score.evidence is score.held_back for score in overlapping.scores)
 
 
@@ -66,18 +78,28 @@ def test_a_structure_is_scored_on_what_was_measured_alone() -> None:
         scores.append(choose_structure(lost, SOME, thorough=False).scores)
     for score, shifted_score in zip(*scores, strict=True):
         np.testing.assert_array_equal(score.held_back, shifted_score.held_back)
-        assert (score.fitted.fit, score.fitted.cost) == (shifted_score.fitted.fit, shifted_score.fitted.cost)
+        assert (score.fitted.fit, score.fitted.cost) == (
+            shifted_score.fitted.fit,
+            shifted_score.fitted.cost,
+        )
     whole = choose_structure(window, SOME, thorough=False).scores
-    assert all(score.off != whole_score.off for score, whole_score in zip(scores[0], whole, strict=True))
+    assert all(
+        score.off != whole_score.off
+        for score, whole_score in zip(scores[0], whole, strict=True)
+    )
 
 
-def test_a_second_half_is_forecast_from_the_first(recorded_hour: Callable[[int], Window]) -> None:
+def test_a_second_half_is_forecast_from_the_first(
+    recorded_hour: Callable[[int], Window],
+) -> None:
     """Two hours of the real rig: more than the three-parameter twin reaches there (0.868, 0.852 of u)."""
     for number in (2, 14):
         hour = recorded_hour(number)
         choice = choose_structure(hour.part(0, 1800), SOME)
         assert choice.chosen == FULL
-        run = simulate_window(choice.parameters, hour, starts=choice.score.fitted.starts[0])
+        run = simulate_window(
+            choice.parameters, hour, starts=choice.score.fitted.starts[0]
+        )
         assert nrmse(hour.output[1801:], run.output[1799:]) > 0.990
         assert nrmse(hour.input[1801:], run.input[1799:]) > 0.89
 
@@ -87,7 +109,9 @@ def test_a_frozen_sensor_is_judged_without_a_warning() -> None:
     window = recorded(RICH, 1)
     frozen = window.output.copy()
     frozen[600:] = frozen[600]
-    choice = choose_structure(Window(window.reference, frozen, window.input), ALL, thorough=False)
+    choice = choose_structure(
+        Window(window.reference, frozen, window.input), ALL, thorough=False
+    )
     assert all(np.isfinite(score.off) for score in choice.scores)
 
 

@@ -33,8 +33,11 @@ def forecast(mean: float, half: float, samples: int = 100) -> Forecast:
 def test_errors_of_the_expected_size_leave_six_tenths_of_the_half_width() -> None:
     """A normal error has a standard deviation of 1/1.645 of the half width that holds 90 % of it."""
     errors = np.random.default_rng(3).normal(0.0, 2.0 / 1.6449, (2, 20_000))
-    check = check_band(forecast(50.0, 2.0, 20_000), 50.0 + errors[:1], 50.0 + errors[1:])
-    assert check.miss_y == pytest.approx(0.608, abs=0.01)  # 20 000 draws: standard error 0.003
+    check = check_band(
+        forecast(50.0, 2.0, 20_000), 50.0 + errors[:1], 50.0 + errors[1:]
+    )
+    # 20 000 draws: standard error 0.003
+    assert check.miss_y == pytest.approx(0.608, abs=0.01)
     assert check.inside_y == pytest.approx(0.9, abs=0.01)
     assert check.inside_u == pytest.approx(0.9, abs=0.01)
 
@@ -72,7 +75,13 @@ def test_readings_that_do_not_count_are_neither_a_miss_nor_a_level() -> None:
     values[0, 59] = -40.0
     counted = np.abs(values[0] - 20.0) < 1.0
     check = check_band(forecast(20.0, 1.0), values, None, counted)
-    assert (check.miss, check.inside_y, check.low, check.high, check.last) == (0.0, 1.0, 20.0, 20.0, 20.0)
+    assert (check.miss, check.inside_y, check.low, check.high, check.last) == (
+        0.0,
+        1.0,
+        20.0,
+        20.0,
+        20.0,
+    )
     assert check_band(forecast(20.0, 1.0), values, None).miss > 10.0
 
 
@@ -90,12 +99,16 @@ def test_a_band_on_the_limit_of_the_controller_has_one_side() -> None:
     limited_forecast = Forecast(
         0, "c", "s", 0.9, np.arange(1.0, 61.0), np.zeros(60), (on_limit,), (on_limit,)
     )
-    check = check_band(limited_forecast, np.full((1, 60), 255.0), np.full((1, 60), 251.0))
+    check = check_band(
+        limited_forecast, np.full((1, 60), 255.0), np.full((1, 60), 251.0)
+    )
     assert check.miss_y == 0.0
     assert check.miss_u == pytest.approx(2.0)
 
 
-def test_a_miss_lasts_once_separate_windows_fail_and_levels_are_those_that_held() -> None:
+def test_a_miss_lasts_once_separate_windows_fail_and_levels_are_those_that_held() -> (
+    None
+):
     bands = BandHistory(2.0, NOISE)
     assert bands.levels is None
     bands.push(inside(30.0, 40.0), 0, 60)
@@ -109,7 +122,9 @@ def test_a_miss_lasts_once_separate_windows_fail_and_levels_are_those_that_held(
     bands.push(outside(70.0, 75.0), 180, 60)
     assert bands.lasts
     assert bands.since == 120
-    assert bands.levels == (30.0, 50.0), "a level at which it failed is not one to trust it at"
+    assert bands.levels == (30.0, 50.0), (
+        "a level at which it failed is not one to trust it at"
+    )
     bands.push(inside(80.0, 82.0), 240, 60)
     assert not bands.lasts
     assert bands.since is None
@@ -129,16 +144,22 @@ def test_twice_the_limit_is_not_a_chance() -> None:
 
 def test_a_twin_that_beats_nobody_is_not_trusted() -> None:
     """Of 80 in an hour each at most 5 %; those with half the errors are, all of them."""
-    assert sum(is_trusted for seed in range(4) for is_trusted in ever_trusted(seed)) <= 4
+    assert (
+        sum(is_trusted for seed in range(4) for is_trusted in ever_trusted(seed)) <= 4
+    )
     assert all(ever_trusted(0, better=0.5))
 
 
-def test_the_level_of_an_exact_motor_changes_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_level_of_an_exact_motor_changes_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Its bands are missed for one window, after a step; it changed at every eighth verdict."""
     # What its first structure lacks is only words in a match's reason, and most of the time to find.
     monkeypatch.setattr("twinmatch.twin.matcher.lack_of", lambda *_: None)
     course_of_levels = levels(1, 900)
-    assert [after for before, after in pairwise(course_of_levels) if before != after] == ["trusted"]
+    assert [
+        after for before, after in pairwise(course_of_levels) if before != after
+    ] == ["trusted"]
 
 
 def test_it_begins_undecided_and_counts() -> None:

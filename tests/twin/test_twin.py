@@ -38,7 +38,9 @@ def matches_of(outcomes: list[Outcome]) -> list[MatchReport]:
     return [o.match for o in outcomes if o.match is not None]
 
 
-def test_every_set_point_gets_a_candidate_and_one_is_nominal(simulated_outcomes: list[Outcome]) -> None:
+def test_every_set_point_gets_a_candidate_and_one_is_nominal(
+    simulated_outcomes: list[Outcome],
+) -> None:
     last = verdicts_of(simulated_outcomes)[-1]
     assert {c.name for c in last.candidates} >= {"50 °C", "70 °C", "30 °C"}
     assert last.nominal in {c.name for c in last.candidates}
@@ -50,13 +52,17 @@ def test_the_nominal_twin_follows_the_whole_session(
 ) -> None:
     last = verdicts_of(simulated_outcomes)[-1]
     nominal = next(c for c in last.candidates if c.name == last.nominal)
-    fit_y, fit_u = window_fit(nominal.parameters, Window.from_samples(simulated_session), TwinSettings().law)
+    fit_y, fit_u = window_fit(
+        nominal.parameters, Window.from_samples(simulated_session), TwinSettings().law
+    )
     # The rig has a sink with mass, which the twin has not; the real rig's hours give 0.98 and 0.85.
     assert fit_y > 0.98
     assert fit_u > 0.85
 
 
-def test_verdicts_are_consistent_in_themselves(simulated_outcomes: list[Outcome]) -> None:
+def test_verdicts_are_consistent_in_themselves(
+    simulated_outcomes: list[Outcome],
+) -> None:
     judged = [v for v in verdicts_of(simulated_outcomes) if not v.stands]
     assert len(judged) >= 8
     for verdict in judged:
@@ -65,16 +71,25 @@ def test_verdicts_are_consistent_in_themselves(simulated_outcomes: list[Outcome]
         assert np.all(np.diag(matrix) == 0.0)
         assert np.all((matrix >= 0.0) & (matrix <= 1.0))
         family = verdict.modelled
-        assert verdict.candidates[: len(family)] == family, "matches first, other structures behind them"
+        assert verdict.candidates[: len(family)] == family, (
+            "matches first, other structures behind them"
+        )
         assert matrix.shape == (len(verdict.candidates),) * 2
         sums = [c.nu_gap_sum for c in verdict.candidates]
         np.testing.assert_allclose(sums, matrix[: len(family)].sum(axis=0), rtol=1e-12)
         nominal = next(c for c in family if c.name == verdict.nominal)
         assert nominal.nu_gap_sum == min(sums[: len(family)])
         assert verdict.leader in {c.name for c in verdict.candidates}
-        assert {c.name for c in verdict.candidates} <= {f.name for f in verdict.forecasts}
+        assert {c.name for c in verdict.candidates} <= {
+            f.name for f in verdict.forecasts
+        }
         for candidate in family:
-            assert [o.order for o in candidate.orders] == ["22221", "33331", "44441", "55551"]
+            assert [o.order for o in candidate.orders] == [
+                "22221",
+                "33331",
+                "44441",
+                "55551",
+            ]
             for order in candidate.orders:
                 assert order.total.gain == order.y.gain + order.u.gain
                 assert order.y.explanation <= 1.0
@@ -106,7 +121,9 @@ def test_late_matches_and_those_nobody_waits_for_change_nothing_but_the_time_of_
     def answer(sample: int) -> None:
         report = due.pop(0)[1]
         request = judge.request
-        assert judge.push_match(next(m for m in reports if m is not report)) == Step((), None)
+        assert judge.push_match(next(m for m in reports if m is not report)) == Step(
+            (), None
+        )
         assert judge.request is request
         step = judge.push_match(report)
         if step.request is None:
@@ -138,9 +155,13 @@ def test_without_an_answer_everything_waits(simulated_session: list[Sample]) -> 
     assert judge.settled == asked.sample - 1
 
 
-def test_given_candidates_are_judged_on_the_first_window_that_moves(simulated_session: list[Sample]) -> None:
+def test_given_candidates_are_judged_on_the_first_window_that_moves(
+    simulated_session: list[Sample],
+) -> None:
     """One for a regime that the session never visits: no match takes its place."""
-    rig = Peltier.model().parameters(seebeck=0.0825, conductance=0.35, heat_capacity=31.93)
+    rig = Peltier.model().parameters(
+        seebeck=0.0825, conductance=0.35, heat_capacity=31.93
+    )
     twin = Twin(given=[Candidate("paper 90 °C", 90.0, rig, None)])
     verdicts = [v for s in simulated_session[:420] for v in twin.push(s).verdicts]
     first = next(v for v in verdicts if not v.stands)
@@ -149,8 +170,12 @@ def test_given_candidates_are_judged_on_the_first_window_that_moves(simulated_se
     assert len(candidate.orders) == 4
 
 
-def test_a_match_takes_the_place_of_a_candidate_given_for_its_regime(simulated_session: list[Sample]) -> None:
-    rig = Peltier.model().parameters(seebeck=0.0825, conductance=0.35, heat_capacity=31.93)
+def test_a_match_takes_the_place_of_a_candidate_given_for_its_regime(
+    simulated_session: list[Sample],
+) -> None:
+    rig = Peltier.model().parameters(
+        seebeck=0.0825, conductance=0.35, heat_capacity=31.93
+    )
     twin = Twin(given=[Candidate("paper 50 °C", 50.0, rig, None)])
     verdicts = [v for s in simulated_session[:420] for v in twin.push(s).verdicts]
     assert {c.name for c in verdicts[-1].modelled} == {"50 °C"}
@@ -169,16 +194,24 @@ def drive_lost(lost_at: int, ticks: int, back_at: int | None = None) -> list[Sam
         y = read(rig, states) + float(noise[k])
         u = pid.step(r, y)[0]
         samples.append(Sample(k, k * 10**9, r, y, u))
-        states = advance(rig, states, 0.0 if lost_at <= k < (back_at or ticks) else u, 1.0)
+        states = advance(
+            rig, states, 0.0 if lost_at <= k < (back_at or ticks) else u, 1.0
+        )
     return samples
 
 
-def test_a_lost_drive_is_reported_by_name_at_once_and_never_becomes_a_candidate() -> None:
+def test_a_lost_drive_is_reported_by_name_at_once_and_never_becomes_a_candidate() -> (
+    None
+):
     lost_at = 600
     twin = Twin()
     outcomes = [twin.push(s) for s in drive_lost(lost_at, 900)]
     verdicts = verdicts_of(outcomes)
-    assert all(v.level in (TrustLevel.TRUSTED, TrustLevel.UNKNOWN) for v in verdicts if v.sample < lost_at)
+    assert all(
+        v.level in (TrustLevel.TRUSTED, TrustLevel.UNKNOWN)
+        for v in verdicts
+        if v.sample < lost_at
+    )
     first_fault = next(v for v in verdicts if v.level is TrustLevel.FAULT)
     assert lost_at < first_fault.sample <= lost_at + 30
     assert first_fault.fault == "drive-lost"
@@ -186,7 +219,9 @@ def test_a_lost_drive_is_reported_by_name_at_once_and_never_becomes_a_candidate(
     assert lost_at - 5 <= first_fault.fault_since <= first_fault.sample
     assert "drive" in first_fault.reason
     assert first_fault.nominal is not None
-    assert all(v.level is TrustLevel.FAULT for v in verdicts if v.sample > first_fault.sample)
+    assert all(
+        v.level is TrustLevel.FAULT for v in verdicts if v.sample > first_fault.sample
+    )
     assert all(c.last < first_fault.sample for c in verdicts[-1].candidates)
 
 
@@ -196,7 +231,9 @@ def test_a_drive_that_comes_back_is_reported_and_the_family_continues() -> None:
     twin = Twin()
     verdicts = verdicts_of([twin.push(s) for s in drive_lost(lost_at, 1200, back_at)])
     levels = {v.sample: v.level for v in verdicts}
-    assert TrustLevel.FAULT in {level for sample, level in levels.items() if lost_at < sample <= lost_at + 30}
+    assert TrustLevel.FAULT in {
+        level for sample, level in levels.items() if lost_at < sample <= lost_at + 30
+    }
     over = next(v for v in verdicts if "is over" in v.reason)
     assert back_at < over.sample <= back_at + 150
     assert over.fault == ""
@@ -229,7 +266,9 @@ def test_who_was_matched_while_a_fault_already_showed_is_dismissed(
         health = type(monitor).push(monitor, sample, twin)
         if health.news is None:
             return health
-        reaching_back = dataclasses.replace(health.news, first=newest.last - 3, spoils=True)
+        reaching_back = dataclasses.replace(
+            health.news, first=newest.last - 3, spoils=True
+        )
         return dataclasses.replace(health, news=reaching_back)
 
     monkeypatch.setattr(monitor, "push", alarmed)
@@ -242,7 +281,9 @@ def test_who_was_matched_while_a_fault_already_showed_is_dismissed(
     assert after.request is None
 
 
-def test_a_gap_in_the_samples_starts_the_windows_again(simulated_session: list[Sample]) -> None:
+def test_a_gap_in_the_samples_starts_the_windows_again(
+    simulated_session: list[Sample],
+) -> None:
     twin = Twin()
     with_gap = simulated_session[:500] + [
         dataclasses.replace(s, index=s.index + 1000) for s in simulated_session[500:900]
@@ -259,7 +300,9 @@ def test_before_anything_moves_nothing_is_known() -> None:
     twin = Twin()
     verdicts = [v for s in samples_of(still) for v in twin.push(s).verdicts]
     assert [v.level for v in verdicts] == [TrustLevel.UNKNOWN] * 3
-    assert all(v.stands and v.nominal is None and math.isnan(v.driven_rms_y) for v in verdicts)
+    assert all(
+        v.stands and v.nominal is None and math.isnan(v.driven_rms_y) for v in verdicts
+    )
 
 
 @pytest.mark.parametrize(

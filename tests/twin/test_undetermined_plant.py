@@ -19,12 +19,16 @@ def outcomes() -> list[Outcome]:
     truth = Tank.model().parameters(area=5.0, hole=0.9)
     reference = np.repeat([0.8, 1.6, 1.1, 2.0, 0.7], 240)
     sensor = Sensor(noise=Tank.output.noise).realise(reference.size, 1.0, 4)
-    run = simulate_closed_loop(truth, reference, states=begin(truth, 0.8), law=Tank.loop, sensor=sensor)
+    run = simulate_closed_loop(
+        truth, reference, states=begin(truth, 0.8), law=Tank.loop, sensor=sensor
+    )
     twin = Twin(TwinSettings.of(Tank, period=1.0))
     with np.errstate(divide="raise", invalid="raise"):
         return [
             twin.push(Sample(k, k * 10**9, float(r), float(y), float(u)))
-            for k, (r, y, u) in enumerate(zip(reference, run.output, run.input, strict=True))
+            for k, (r, y, u) in enumerate(
+                zip(reference, run.output, run.input, strict=True)
+            )
         ]
 
 
@@ -36,9 +40,9 @@ def test_a_match_says_that_nothing_tells_them_apart(outcomes: list[Outcome]) -> 
         assert accepted_match.condition == np.inf
         assert "does not show in this window at all" in accepted_match.determined
         # The combination is what the plant has: 0.9²/5 within 3 %, some four standard errors of a window.
-        assert accepted_match.parameters["hole"] ** 2 / accepted_match.parameters["area"] == pytest.approx(
-            0.162, rel=0.03
-        )
+        assert accepted_match.parameters["hole"] ** 2 / accepted_match.parameters[
+            "area"
+        ] == pytest.approx(0.162, rel=0.03)
 
 
 def test_its_twins_forecast_all_the_same(outcomes: list[Outcome]) -> None:

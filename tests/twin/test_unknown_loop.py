@@ -48,10 +48,14 @@ def test_parameters_are_found(judged: Judgement) -> None:
     accepted = [m.match for m in judged.matches if m.match.accepted]
     assert len(accepted) >= 4
     for accepted_match in accepted:
-        for name, error in zip(accepted_match.free, accepted_match.standard_errors, strict=True):
+        for name, error in zip(
+            accepted_match.free, accepted_match.standard_errors, strict=True
+        ):
             if name in TRUTH.model.names:
                 # Of two dozen figures one in 700 lies beyond four and a half standard errors by chance.
-                assert abs(accepted_match.parameters[name] - TRUTH[name]) < 4.5 * error, name
+                assert (
+                    abs(accepted_match.parameters[name] - TRUTH[name]) < 4.5 * error
+                ), name
         assert np.isnan(accepted_match.fit.u)
 
 
@@ -62,8 +66,13 @@ def test_a_family_is_judged_on_what_can_be_computed(judged: Judgement) -> None:
     assert last.nominal is not None
     assert all(v.fault == "" for v in judged.verdicts)
     for verdict in scored(judged):
-        assert all(c.margin is None and c.plant_gap_to_nominal is None for c in verdict.candidates)
-        assert all(o.u is None and o.total == o.y for c in verdict.modelled for o in c.orders)
+        assert all(
+            c.margin is None and c.plant_gap_to_nominal is None
+            for c in verdict.candidates
+        )
+        assert all(
+            o.u is None and o.total == o.y for c in verdict.modelled for o in c.orders
+        )
         assert np.isnan([verdict.closed_rms_u, verdict.miss_u, verdict.inside_u]).all()
         assert "controller" not in verdict.certainty
         assert verdict.nu_gap_points
@@ -97,12 +106,16 @@ def test_bands_hold_on_samples_of_another_session(kind: str) -> None:
             rows = np.array([s.disturbances for s in ahead])
             forecast = forecaster.outlook().forecast([s.input for s in ahead[1:]], rows)
             came = np.array([s.output for s in ahead[1:]])
-            coverages.append(np.mean((forecast.output.low <= came) & (came <= forecast.output.high)))
+            coverages.append(
+                np.mean((forecast.output.low <= came) & (came <= forecast.output.high))
+            )
     assert len(coverages) >= 20
     assert np.mean(coverages) == pytest.approx(0.9, abs=0.07)
 
 
-def test_a_session_file_gives_the_same_verdicts_bit_for_bit(judged: Judgement, tmp_path: Path) -> None:
+def test_a_session_file_gives_the_same_verdicts_bit_for_bit(
+    judged: Judgement, tmp_path: Path
+) -> None:
     samples = judged.samples[:600]
     with SessionWriter(tmp_path / "run") as writer:
         writer.add_topic(SAMPLE)
@@ -110,7 +123,10 @@ def test_a_session_file_gives_the_same_verdicts_bit_for_bit(judged: Judgement, t
             writer.write(SAMPLE.name, encode_sample(sample), sample.stamp)
     session = open_any(tmp_path / "run")
     replayed = judge_samples("again", session.samples, SETTINGS)
-    for new, old in ((replayed.verdicts, judged.verdicts), (replayed.matches, judged.matches)):
+    for new, old in (
+        (replayed.verdicts, judged.verdicts),
+        (replayed.matches, judged.matches),
+    ):
         assert new
         assert [repr(tree_of(record)) for record in new] == [
             repr(tree_of(record)) for record in old[: len(new)]
@@ -127,10 +143,18 @@ def test_what_comes_depends_on_the_input_that_is_asked_for() -> None:
     answer_off = what_if(outlook, Question(times=(0.0,), levels=(0.0,)))
     assert np.isnan(answer_held.forecast.reference).all()
     np.testing.assert_array_equal(answer_held.forecast.input.mean, 0.15)
-    np.testing.assert_array_equal(answer_held.forecast.input.high, answer_held.forecast.input.low)
+    np.testing.assert_array_equal(
+        answer_held.forecast.input.high, answer_held.forecast.input.low
+    )
     assert answer_off.forecast.output.mean[-1] < answer_held.forecast.output.mean[-1]
-    assert "the loop is not known: the forecast is for a constant input of 0.15" in answer_held.forecast.notes
-    assert "the loop is not known: the forecast is for the given inputs" in answer_off.forecast.notes
+    assert (
+        "the loop is not known: the forecast is for a constant input of 0.15"
+        in answer_held.forecast.notes
+    )
+    assert (
+        "the loop is not known: the forecast is for the given inputs"
+        in answer_off.forecast.notes
+    )
     assert any("(room) stay constant" in note for note in answer_held.forecast.notes)
     # The output is waited for that these inputs lead to.
     assert answer_held.level == answer_held.forecast.output.mean[-1]
@@ -141,14 +165,23 @@ def test_a_known_loop_may_be_taken_as_unknown() -> None:
     """A motor in its loop, judged without its controller: its input is all that is looked at."""
     truth = Motor.model("without friction").parameters(k=0.06, j=5e-4, b=2e-4)
     reference = np.repeat([50.0, 150.0, 90.0, -60.0, 120.0], 240)
-    run = simulate_closed_loop(truth, reference, states=begin(truth, 0.0), law=Motor.loop)
+    run = simulate_closed_loop(
+        truth, reference, states=begin(truth, 0.0), law=Motor.loop
+    )
     rng = np.random.default_rng(5)
     output = run.output + Motor.output.noise * rng.standard_normal(reference.size)
     twin = Twin(TwinSettings.of(Motor, period=0.05, law=None))
     matches = []
     verdicts = []
     for k in range(reference.size):
-        sample = Sample(k, k * 50_000_000, float(reference[k]), float(output[k]), float(run.input[k]), (0.0,))
+        sample = Sample(
+            k,
+            k * 50_000_000,
+            float(reference[k]),
+            float(output[k]),
+            float(run.input[k]),
+            (0.0,),
+        )
         outcome = twin.push(sample)
         matches += [outcome.match.match] if outcome.match else []
         verdicts += outcome.verdicts

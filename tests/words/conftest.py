@@ -36,13 +36,17 @@ class Shown(NamedTuple):
 
     def speaks_of_itself(self, text: str, *words: str) -> None:
         """Assert that a text has its words, or those given, and none of others' plants."""
-        foreign_words = [text[max(0, m.start() - 60) : m.end() + 40] for m in FOREIGN.finditer(text)]
+        foreign_words = [
+            text[max(0, m.start() - 60) : m.end() + 40] for m in FOREIGN.finditer(text)
+        ]
         assert not foreign_words, foreign_words[:5]
         for word in words or self.words:
             assert word in text, word
 
 
-def _levels_held(truth: Parameters, levels: list[float], broken: str, last: int, seed: int) -> list[Sample]:
+def _levels_held(
+    truth: Parameters, levels: list[float], broken: str, last: int, seed: int
+) -> list[Sample]:
     """Levels held by the plant's own controller, 240 samples each; then drive or sensor are `broken`."""
     plant = truth.model.plant
     assert plant.loop is not None
@@ -72,10 +76,14 @@ def registered() -> Iterator[None]:
         yield
 
 
-def _shown(folder: Path, plant: type[Plant], samples: list[Sample], *words: str) -> Shown:
+def _shown(
+    folder: Path, plant: type[Plant], samples: list[Sample], *words: str
+) -> Shown:
     assert plant.loop is not None
     config = folder / f"{plant.name}.yaml"
-    config.write_text(f"/**:\n  ros__parameters:\n    plant: {plant.name}\n    period: {plant.loop.period}\n")
+    config.write_text(
+        f"/**:\n  ros__parameters:\n    plant: {plant.name}\n    period: {plant.loop.period}\n"
+    )
     return Shown(plant, write_session(folder / plant.name, samples), config, words)
 
 

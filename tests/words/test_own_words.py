@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
+pytest.importorskip(
+    "bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'"
+)
 
 from bokeh.core.json_encoder import serialize_json
 from bokeh.document import Document
@@ -39,40 +41,64 @@ def printed_by(capsys: Capture, *words: object) -> str:
     return printed.out + printed.err
 
 
-def test_a_replay_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
+def test_a_replay_uses_the_plants_words(
+    shown: Shown, tmp_path: Path, capsys: Capture
+) -> None:
     out = tmp_path / "out.json"
     picture = tmp_path / "out.svg"
     text = printed_by(
-        capsys, "replay", shown.folder, "--config", shown.config, "--json", out, "--figure", picture
+        capsys,
+        "replay",
+        shown.folder,
+        "--config",
+        shown.config,
+        "--json",
+        out,
+        "--figure",
+        picture,
     )
     shown.speaks_of_itself(text)
-    shown.speaks_of_itself(json.dumps(json.loads(out.read_text("utf-8")), ensure_ascii=False))
+    shown.speaks_of_itself(
+        json.dumps(json.loads(out.read_text("utf-8")), ensure_ascii=False)
+    )
     assert re.search("drive-lost|sensor-frozen", text)
 
 
-def test_a_forecast_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
+def test_a_forecast_uses_the_plants_words(
+    shown: Shown, tmp_path: Path, capsys: Capture
+) -> None:
     out = tmp_path / "out.json"
     asked = ("--at", 700, "--horizon", 10, "--json", out)
-    text = printed_by(capsys, "forecast", shown.folder, "--config", shown.config, *asked)
+    text = printed_by(
+        capsys, "forecast", shown.folder, "--config", shown.config, *asked
+    )
     shown.speaks_of_itself(text)
     shown.speaks_of_itself(out.read_text("utf-8"), '"y"')
 
 
 def test_a_backtest_uses_the_plants_words(shown: Shown, capsys: Capture) -> None:
-    text = printed_by(capsys, "backtest", shown.folder, "--config", shown.config, "--horizon", 5)
+    text = printed_by(
+        capsys, "backtest", shown.folder, "--config", shown.config, "--horizon", 5
+    )
     shown.speaks_of_itself(text)
 
 
-def test_a_report_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
+def test_a_report_uses_the_plants_words(
+    shown: Shown, tmp_path: Path, capsys: Capture
+) -> None:
     out = tmp_path / "report.html"
-    text = printed_by(capsys, "report", shown.folder, "--config", shown.config, "-o", out)
+    text = printed_by(
+        capsys, "report", shown.folder, "--config", shown.config, "-o", out
+    )
     shown.speaks_of_itself(text, str(out))
     page = re.sub(r"data:[^\"]*", "", out.read_text("utf-8"))
     page = re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL)
     shown.speaks_of_itself(html.unescape(re.sub(r"<[^>]*>", " ", page)))
     shown.speaks_of_itself(html.unescape(" ".join(re.findall(r'alt="([^"]*)"', page))))
     drawn = re.findall(r"data:image/svg\+xml;base64,([^\"]*)", out.read_text("utf-8"))
-    lettering = re.findall(r"<!-- (.*?) -->", "".join(base64.b64decode(p).decode("utf-8") for p in drawn))
+    lettering = re.findall(
+        r"<!-- (.*?) -->", "".join(base64.b64decode(p).decode("utf-8") for p in drawn)
+    )
     shown.speaks_of_itself(" ".join(lettering), *shown.words)
 
 
@@ -91,7 +117,11 @@ def lettering(document: Document) -> str:
             yield node
 
     return html.unescape(
-        re.sub(r"<[^>]*>", " ", "\n".join(texts(json.loads(serialize_json(document.to_json())))))
+        re.sub(
+            r"<[^>]*>",
+            " ",
+            "\n".join(texts(json.loads(serialize_json(document.to_json())))),
+        )
     )
 
 
@@ -115,28 +145,52 @@ def test_a_page_uses_the_plants_words(shown: Shown) -> None:
     for sample in judged.samples:
         state.push_sample(sample, 0.0)
         twin = mirror.push(sample)
-        state.push_twin(sample.index, TwinRow(**{name: getattr(twin, name)[0] for name in TwinRow._fields}))
+        state.push_twin(
+            sample.index,
+            TwinRow(**{name: getattr(twin, name)[0] for name in TwinRow._fields}),
+        )
     for verdict in judged.verdicts:
         state.push_verdict(verdict)
     update_sentence(state, judged.settings)
     page.update()
     text = lettering(document) + document.title
-    shown.speaks_of_itself(text, shown.plant.title, *shown.words, f"plant − twin / {shown.words[1]}")
+    shown.speaks_of_itself(
+        text, shown.plant.title, *shown.words, f"plant − twin / {shown.words[1]}"
+    )
 
 
 def test_a_viewer_is_given_axes_with_the_plants_words(shown: Shown) -> None:
     viewer_layout = layout(description_of(shown.plant), rig="/rig_a")
-    shown.speaks_of_itself(json.dumps(viewer_layout, ensure_ascii=False).replace("/rig_a/", ""))
+    shown.speaks_of_itself(
+        json.dumps(viewer_layout, ensure_ascii=False).replace("/rig_a/", "")
+    )
     y = shown.plant.output
     u = shown.plant.drive
-    axes = [p["yAxisLabel"] for name, p in viewer_layout["configById"].items() if name.startswith("Plot!")]
+    axes = [
+        p["yAxisLabel"]
+        for name, p in viewer_layout["configById"].items()
+        if name.startswith("Plot!")
+    ]
     assert axes == [f"{q.name} / {q.unit}" for q in (y, u, y, u, y, u)]
     topics = set(re.findall(r'"(/[a-z_/]+)', json.dumps(viewer_layout)))
-    assert {topic for topic in topics if not topic.startswith("/rig_a/")} == {"/diagnostics", "/rosout"}
+    assert {topic for topic in topics if not topic.startswith("/rig_a/")} == {
+        "/diagnostics",
+        "/rosout",
+    }
 
 
-def test_an_archive_uses_the_plants_words(shown: Shown, tmp_path: Path, capsys: Capture) -> None:
+def test_an_archive_uses_the_plants_words(
+    shown: Shown, tmp_path: Path, capsys: Capture
+) -> None:
     samples = read_session(shown.folder).samples[:FIRST_MATCH]
     session = write_session(tmp_path / "half", samples)
-    text = printed_by(capsys, "replay", session, "--config", shown.config, "--out", tmp_path / "archive")
+    text = printed_by(
+        capsys,
+        "replay",
+        session,
+        "--config",
+        shown.config,
+        "--out",
+        tmp_path / "archive",
+    )
     shown.speaks_of_itself(text, shown.plant.output.unit)

@@ -15,7 +15,18 @@ from tests.support.places import PROJECT
 
 STYLE_PAGE = PROJECT / "docs" / "style.md"
 PAGES = {".md", ".ipynb"}
-OTHERS = {".msg", ".srv", ".yaml", ".toml", ".cfg", ".sh", ".html", ".jinja", ".css", ".xml"}
+OTHERS = {
+    ".msg",
+    ".srv",
+    ".yaml",
+    ".toml",
+    ".cfg",
+    ".sh",
+    ".html",
+    ".jinja",
+    ".css",
+    ".xml",
+}
 RULES = {
     r"(?<!there )(?<!still )\b(is|are|was|were) no (?!longer|more\b|less|better|worse|other|\w+er than)": (
         'write "is not a …"'
@@ -45,10 +56,15 @@ RULES = {
     r"\bwhat (it|they) (was|were) given\b": 'write "its arguments" or "its input"',
 }
 """Wordings that are ruled out, with one blank between words, and what to write instead."""
-COMMENT = re.compile(r'"""[\s\S]*?"""|"(?:\\.|[^"\\\n])*"|\'(?:\\.|[^\'\\\n])*\'|(#[^\n]*)')
+COMMENT = re.compile(
+    r'"""[\s\S]*?"""|"(?:\\.|[^"\\\n])*"|\'(?:\\.|[^\'\\\n])*\'|(#[^\n]*)'
+)
 """A string, or a comment, which is the group."""
 SUSPECT = re.compile(
-    r"\b(?:" + "|".join(re.sub(r"^(\(\?<![^)]*\))*", "", pattern) for pattern in RULES) + ")", re.IGNORECASE
+    r"\b(?:"
+    + "|".join(re.sub(r"^(\(\?<![^)]*\))*", "", pattern) for pattern in RULES)
+    + ")",
+    re.IGNORECASE,
 )
 """Where one of them may be: all in one pass, whatever stands before."""
 
@@ -59,13 +75,17 @@ JOINT = re.compile(r"""(?:\\n|[\s"'#_])+(?:[fr]{1,2}(?=["'])["'])?""")
 
 def findings(text: str) -> list[str]:
     """What is ruled out in a text, less its code in backticks, links, paths and dotted names."""
-    shown = re.sub(r"`[^`\n]+`|\]\([^)\n]*\)|\S*/\S*\.(?:md|py)\b|\w+(?:\.\w+){2,}", "•", text)
+    shown = re.sub(
+        r"`[^`\n]+`|\]\([^)\n]*\)|\S*/\S*\.(?:md|py)\b|\w+(?:\.\w+){2,}", "•", text
+    )
     flat = " ".join(word for word in shown.split() if word != "#")
     return [
         f'"{ruled_out[0].strip()}": {instead}'
         for suspect in SUSPECT.finditer(flat)
         for pattern, instead in RULES.items()
-        if (ruled_out := re.compile(pattern, re.IGNORECASE).match(flat, suspect.start()))
+        if (
+            ruled_out := re.compile(pattern, re.IGNORECASE).match(flat, suspect.start())
+        )
     ]
 
 
@@ -76,8 +96,15 @@ def prose_of_python(source: str, tree: ast.AST | None = None) -> Iterator[str]:
     """
     for node in ast.walk(tree or ast.parse(source)):
         if isinstance(node, ast.JoinedStr):
-            yield "".join(str(p.value) if isinstance(p, ast.Constant) else "…" for p in node.values)
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
+            yield "".join(
+                str(p.value) if isinstance(p, ast.Constant) else "…"
+                for p in node.values
+            )
+        elif (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and " " in node.value
+        ):
             yield node.value
         elif isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
             yield node.name.replace("_", " ")
@@ -91,8 +118,11 @@ def prose(path: Path) -> Iterator[str]:
         yield from prose_of_python(text)
     elif path.suffix == ".ipynb":
         cells = json.loads(text)["cells"]
-        yield from ("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
-    elif path == STYLE_PAGE:  # the first column of its table is there to show what is wrong
+        yield from (
+            "".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown"
+        )
+    elif path == STYLE_PAGE:
+        # the first column of its table is there to show what is wrong
         yield re.sub(r"^\|[^|]*\|", "|", text, flags=re.MULTILINE)
     elif path.suffix in {".msg", ".srv"}:  # what stands before a comment is a field
         yield re.sub(r"^[^#\n]*", "", text, flags=re.MULTILINE)
@@ -102,7 +132,9 @@ def prose(path: Path) -> Iterator[str]:
 
 def ruled_out_in(path: Path) -> set[str]:
     """What is ruled out in a file; most modules have none of it even in their code, and need no parsing."""
-    if path.suffix == ".py" and not SUSPECT.search(JOINT.sub(" ", path.read_text("utf-8"))):
+    if path.suffix == ".py" and not SUSPECT.search(
+        JOINT.sub(" ", path.read_text("utf-8"))
+    ):
         return set()
     return set(findings("\n•\n".join(prose(path))))  # no wording reaches across a •
 
@@ -110,11 +142,17 @@ def ruled_out_in(path: Path) -> set[str]:
 def files() -> list[Path]:
     kinds = PAGES | OTHERS | {".py"}
     ours = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
-    listed = subprocess.run(ours, cwd=PROJECT, capture_output=True, text=True, check=False).stdout.split("\n")
+    listed = subprocess.run(
+        ours, cwd=PROJECT, capture_output=True, text=True, check=False
+    ).stdout.split("\n")
     paths = [PROJECT / name for name in listed if name] or list(PROJECT.rglob("*.*"))
     left_out = {Path(__file__).resolve(), *PROJECT.rglob("first_form/*")}
     return [
-        p for p in paths if (p.suffix in kinds or p.name == "Makefile") and p.is_file() and p not in left_out
+        p
+        for p in paths
+        if (p.suffix in kinds or p.name == "Makefile")
+        and p.is_file()
+        and p not in left_out
     ]
 
 
@@ -122,7 +160,10 @@ def files() -> list[Path]:
     ("name", "text"),
     [
         ("message.py", 'def refuse(x):\n    raise ValueError(f"{x}: is no number")\n'),
-        ("split.py", 'def refuse(x):\n    raise ValueError("a text "\n        "that is no number")\n'),
+        (
+            "split.py",
+            'def refuse(x):\n    raise ValueError("a text "\n        "that is no number")\n',
+        ),
         ("docstring.py", '"""A page.\n\nWhat it is: is no\nnumber.\n"""\n'),
         ("comment.py", "x = 1\n# this is\n# no number\n"),
         ("test_name.py", "\ndef test_what_is_no_number_is_refused(): ...\n"),
@@ -135,7 +176,9 @@ def files() -> list[Path]:
         ("Some.msg", "float64 a\n# is no number\n"),
     ],
 )
-def test_a_bad_sentence_is_found_wherever_it_stands(tmp_path: Path, name: str, text: str) -> None:
+def test_a_bad_sentence_is_found_wherever_it_stands(
+    tmp_path: Path, name: str, text: str
+) -> None:
     page = tmp_path / name
     page.write_text(text, encoding="utf-8")
     assert ruled_out_in(page) == {f'"is no": {next(iter(RULES.values()))}'}
@@ -143,21 +186,33 @@ def test_a_bad_sentence_is_found_wherever_it_stands(tmp_path: Path, name: str, t
 
 def test_identifiers_code_and_paths_are_left_out() -> None:
     source = 'heard = {"heard": 1}  # see docs/who-foretells.md and `foretell`\n'
-    assert not [finding for part in prose_of_python(source) for finding in findings(part)]
+    assert not [
+        finding for part in prose_of_python(source) for finding in findings(part)
+    ]
 
 
 def test_nothing_that_is_ruled_out_is_written() -> None:
     paths = files()
-    assert {".py", ".md", ".msg", ".srv", ".yaml", ".html"} <= {path.suffix for path in paths}
+    assert {".py", ".md", ".msg", ".srv", ".yaml", ".html"} <= {
+        path.suffix for path in paths
+    }
     reported = [
-        f"{path.relative_to(PROJECT)}: {words}" for path in paths for words in sorted(ruled_out_in(path))
+        f"{path.relative_to(PROJECT)}: {words}"
+        for path in paths
+        for words in sorted(ruled_out_in(path))
     ]
-    assert not reported, "wordings that docs/style.md rules out:\n" + "\n".join(reported)
+    assert not reported, "wordings that docs/style.md rules out:\n" + "\n".join(
+        reported
+    )
 
 
 def test_the_style_page_shows_pairs_that_the_rules_agree_with() -> None:
-    rows = re.findall(r"^\| ([^|]+) \| ([^|]+) \|", STYLE_PAGE.read_text("utf-8"), re.MULTILINE)
-    pairs = [(before, after) for before, after in rows if before not in {"instead of", "---"}]
+    rows = re.findall(
+        r"^\| ([^|]+) \| ([^|]+) \|", STYLE_PAGE.read_text("utf-8"), re.MULTILINE
+    )
+    pairs = [
+        (before, after) for before, after in rows if before not in {"instead of", "---"}
+    ]
     assert len(pairs) >= 15
     assert not [after for _, after in pairs if findings(after)]
     assert sum(bool(findings(before)) for before, _ in pairs) >= 10

@@ -60,7 +60,9 @@ class Broadcast:
         ListenError: the address is not ours or taken.
     """
 
-    def __init__(self, host: str, port: int, *, max_clients: int = 8, patience: float = 1.0) -> None:
+    def __init__(
+        self, host: str, port: int, *, max_clients: int = 8, patience: float = 1.0
+    ) -> None:
         self._max_clients = max_clients
         self._patience = patience
         self._clients: dict[socket.socket, _Client] = {}
@@ -69,9 +71,13 @@ class Broadcast:
         self._stopping = False
         try:
             family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-            self._listener = socket.create_server((host, port), family=family, backlog=16)
+            self._listener = socket.create_server(
+                (host, port), family=family, backlog=16
+            )
         except OSError as error:
-            msg = f"cannot listen on {host}:{port}: {error}; choose another with --listen"
+            msg = (
+                f"cannot listen on {host}:{port}: {error}; choose another with --listen"
+            )
             raise ListenError(msg) from error
         self._listener.setblocking(False)
         self._wake_out, self._wake_in = socket.socketpair()
@@ -135,7 +141,9 @@ class Broadcast:
             return
         name = f"{peer[0]}:{peer[1]}"
         if len(self._clients) >= self._max_clients:
-            _log.warning("client %s refused: %d are connected already", name, len(self._clients))
+            _log.warning(
+                "client %s refused: %d are connected already", name, len(self._clients)
+            )
             connection.close()
             return
         connection.setblocking(False)
@@ -191,7 +199,11 @@ class Broadcast:
         now = time.monotonic()
         for client in list(self._clients.values()):
             if client.rest and now - client.since > self._patience:
-                _log.warning("client %s dropped: took no whole frame in %g s", client.name, self._patience)
+                _log.warning(
+                    "client %s dropped: took no whole frame in %g s",
+                    client.name,
+                    self._patience,
+                )
                 self._remove(client)
 
     def _leave(self, client: _Client, why: str) -> None:

@@ -24,7 +24,13 @@ import numpy as np
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.links.thermal_client import Region
-from twinmatch.links.thermal_frame import LEPTON_SHAPE, CountArray, Exposure, FlatField, FrameFlags
+from twinmatch.links.thermal_frame import (
+    LEPTON_SHAPE,
+    CountArray,
+    Exposure,
+    FlatField,
+    FrameFlags,
+)
 from twinmatch.signals import KELVIN, FloatArray
 
 PLATE = Region(row=14, column=22, rows=32, columns=36)
@@ -74,7 +80,9 @@ class LeptonSettings:
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
-            if not math.isfinite(value) or (value < 0 and item.name not in {"ambient", "drift"}):
+            if not math.isfinite(value) or (
+                value < 0 and item.name not in {"ambient", "drift"}
+            ):
                 msg = f"emulated Lepton: {item.name} is {value}; it must be finite and not negative"
                 raise LeptonError(msg)
         if not (self.rate > 0 and self.resolution > 0):
@@ -90,7 +98,9 @@ class LeptonSettings:
 class EmulatedLepton:
     """One camera since its power-on."""
 
-    def __init__(self, settings: LeptonSettings = LeptonSettings(), seed: int = 0) -> None:
+    def __init__(
+        self, settings: LeptonSettings = LeptonSettings(), seed: int = 0
+    ) -> None:
         self.settings = settings
         self._seed = seed
         self._shape_of_plate = _shape_of_plate(settings.gradient)
@@ -151,15 +161,22 @@ class EmulatedLepton:
         settings = self.settings
         rng = np.random.default_rng((self._seed, tick))
         scene = settings.ambient + (plate - settings.ambient) * self._shape_of_plate
-        common = settings.common_noise * rng.standard_normal() + settings.drift * since / 60.0
-        return self._counts(scene + common + settings.pixel_noise * rng.standard_normal(LEPTON_SHAPE))
+        common = (
+            settings.common_noise * rng.standard_normal()
+            + settings.drift * since / 60.0
+        )
+        return self._counts(
+            scene + common + settings.pixel_noise * rng.standard_normal(LEPTON_SHAPE)
+        )
 
     def _counts(self, degrees: FloatArray) -> CountArray:
         counts = np.rint((degrees + KELVIN) / self.settings.resolution)
         return np.clip(counts, 0, 65535).astype(np.uint16)
 
     def _sensor(self, elapsed: float) -> int:
-        degrees = self.settings.ambient + _SENSOR_WARMING * -math.expm1(-elapsed / _SENSOR_TIME)
+        degrees = self.settings.ambient + _SENSOR_WARMING * -math.expm1(
+            -elapsed / _SENSOR_TIME
+        )
         return round((degrees + KELVIN) * 100)
 
 
@@ -168,9 +185,9 @@ def _shape_of_plate(gradient: float) -> FloatArray:
     rows = (np.arange(PLATE.rows) - (PLATE.rows - 1) / 2) / (PLATE.rows / 2)
     columns = (np.arange(PLATE.columns) - (PLATE.columns - 1) / 2) / (PLATE.columns / 2)
     shape = np.zeros(LEPTON_SHAPE)
-    shape[PLATE.row : PLATE.row + PLATE.rows, PLATE.column : PLATE.column + PLATE.columns] = (
-        1.0 - gradient * (rows[:, None] ** 2 + columns**2) / 2
-    )
+    shape[
+        PLATE.row : PLATE.row + PLATE.rows, PLATE.column : PLATE.column + PLATE.columns
+    ] = 1.0 - gradient * (rows[:, None] ** 2 + columns**2) / 2
     return shape
 
 
@@ -249,7 +266,9 @@ def _parse(text: bytes) -> float:
     try:
         plate = float(text)
     except ValueError:
-        msg = f"plate feed: {text!r} is not a temperature; send °C as text, such as 31.25"
+        msg = (
+            f"plate feed: {text!r} is not a temperature; send °C as text, such as 31.25"
+        )
         raise LeptonError(msg) from None
     _check(plate)
     return plate

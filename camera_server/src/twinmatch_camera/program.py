@@ -37,7 +37,9 @@ class CameraThread(threading.Thread):
             while not self._stopping.is_set():
                 exposure = self._source.read(_READ_TIMEOUT)
                 if exposure is not None:
-                    self._broadcast.publish(encode_frame(exposure.numbered(sequence, self.boot_id)))
+                    self._broadcast.publish(
+                        encode_frame(exposure.numbered(sequence, self.boot_id))
+                    )
                     sequence += 1
         except EndOfRecording as end:
             _log.info("%s", end)
@@ -58,7 +60,9 @@ def run(source: Source, broadcast: Broadcast) -> None:
     Raises:
         CameraError: the source could not be opened or has failed.
     """
-    before = {number: signal.signal(number, lambda *_: broadcast.stop()) for number in _STOPS}
+    before = {
+        number: signal.signal(number, lambda *_: broadcast.stop()) for number in _STOPS
+    }
     try:
         _serve(source, broadcast)
     finally:

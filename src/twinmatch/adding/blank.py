@@ -33,7 +33,9 @@ def signal_said(text: str, option: str) -> Signal:
     match = _SIGNAL.fullmatch(text)
     example = "give a name, its unit and its range, such as 'temperature [°C] 10 to 95'"
     if match is None:
-        raise BlankError(f"new-plant: {option} {text[:80]!r} is not a signal; {example}")
+        raise BlankError(
+            f"new-plant: {option} {text[:80]!r} is not a signal; {example}"
+        )
     unit = (match["unit"] or "").strip()
     try:
         low = float(match["low"])
@@ -43,7 +45,9 @@ def signal_said(text: str, option: str) -> Signal:
             f"new-plant: {option} {text[:80]!r} has an end that is not a number; {example}"
         ) from None
     if not low < high < float("inf") or low == float("-inf"):
-        raise BlankError(f"new-plant: {option}: {low:g} to {high:g} is not a range; give the lower end first")
+        raise BlankError(
+            f"new-plant: {option}: {low:g} to {high:g} is not a range; give the lower end first"
+        )
     if not is_unit(unit):
         raise BlankError(
             f"new-plant: {option}: {unit!r} is not a known unit; leave it out, or write another one"
@@ -51,14 +55,18 @@ def signal_said(text: str, option: str) -> Signal:
     return Signal(match["name"].lower(), unit, low, high)
 
 
-def blank(measured: Signal, moved: Signal, lag: float, now: float | None = None) -> Proposal:
+def blank(
+    measured: Signal, moved: Signal, lag: float, now: float | None = None
+) -> Proposal:
     """A proposal from two signals, the time in which two thirds of a change have happened, s, and the reading
     now, with the drive at rest.
 
     Raises:
         BlankError: the reading is outside the range.
     """
-    reading = measured.low + 0.1 * (measured.high - measured.low) if now is None else now
+    reading = (
+        measured.low + 0.1 * (measured.high - measured.low) if now is None else now
+    )
     if not measured.low <= reading <= measured.high:
         raise BlankError(
             f"new-plant: --now is {reading:g}; give a reading within {measured.low:g} to {measured.high:g}"

@@ -26,7 +26,15 @@ from twinmatch.adding.trial import (
     time_constants,
     trial_for,
 )
-from twinmatch.dynamics import Equations, Model, Parameters, Plant, PlantError, advance, begin
+from twinmatch.dynamics import (
+    Equations,
+    Model,
+    Parameters,
+    Plant,
+    PlantError,
+    advance,
+    begin,
+)
 from twinmatch.dynamics.equations import outputs_of, written_equations
 from twinmatch.signals import FloatArray
 
@@ -59,7 +67,9 @@ def check_plant(
         notes += [] if findings else confusions(plant, period)
     except PlantError as error:
         unusable = str(error)
-    return CheckedPlant(plant.title, tuple(_once(findings, plant.title)), tuple(notes), unusable)
+    return CheckedPlant(
+        plant.title, tuple(_once(findings, plant.title)), tuple(notes), unusable
+    )
 
 
 def _once(findings: Iterable[Finding], title: str) -> Iterator[Finding]:
@@ -69,7 +79,9 @@ def _once(findings: Iterable[Finding], title: str) -> Iterator[Finding]:
         structure, message = _structure_and_message(finding)
         has_numbers_of_structure = structure or message.startswith(f"{title}:")
         key = _NUMBER.split(message)[0] if has_numbers_of_structure else message
-        by_message.setdefault(key, {}).setdefault(structure, finding._replace(what=message))
+        by_message.setdefault(key, {}).setdefault(
+            structure, finding._replace(what=message)
+        )
     for by_structure in by_message.values():
         message, todo = next(iter(by_structure.values()))
         yield Finding(f"{_structures_in_words(list(by_structure))}{message}", todo)
@@ -97,10 +109,15 @@ def _steps(
     total = len(plant.structures) + 1
     show("checking declarations and units", 0, total)
     dimensions = Dimensions(plant)
-    for parts in dict.fromkeys(structure.parts for structure in plant.structures.values()):
+    for parts in dict.fromkeys(
+        structure.parts for structure in plant.structures.values()
+    ):
         dimensions.check(parts)
     yield dimensions.findings.values(), _unit_notes(dimensions)
-    yield unreached(plant), [f"disturbance {n}: in no equation" for n in idle_disturbances(plant)]
+    yield (
+        unreached(plant),
+        [f"disturbance {n}: in no equation" for n in idle_disturbances(plant)],
+    )
     yield coarse(plant), []
     yield _unused(plant), []
     for number, name in enumerate(plant.structures, 1):
@@ -116,7 +133,9 @@ def _steps(
 def _unit_notes(dimensions: Dimensions) -> list[str]:
     notes = []
     if dimensions.unknown_units:
-        notes.append(f"unknown units are treated as plain numbers: {', '.join(dimensions.unknown_units)}")
+        notes.append(
+            f"unknown units are treated as plain numbers: {', '.join(dimensions.unknown_units)}"
+        )
     if dimensions.unchecked:
         listed = ", ".join(sorted(dimensions.unchecked))
         notes.append(
@@ -129,13 +148,34 @@ def _unit_notes(dimensions: Dimensions) -> list[str]:
 def _unused(plant: type[Plant]) -> Iterator[Finding]:
     models: list[Model] = [plant.model(name) for name in plant.structures]
     used = {name for model in models for name in (*model.declared, *model.states)}
-    parts = {part for structure in plant.structures.values() for part in structure.parts}
+    parts = {
+        part for structure in plant.structures.values() for part in structure.parts
+    }
     for message, todo, declared, in_use in (
-        ("parameter {}: no structure depends on it", "use it in the equations", plant.parameters, used),
-        ("state {}: no structure gives it a rate", "give it a rate and a start", plant.states, used),
-        ("part {!r}: no structure has it", "add a structure with it", plant.parts, parts),
+        (
+            "parameter {}: no structure depends on it",
+            "use it in the equations",
+            plant.parameters,
+            used,
+        ),
+        (
+            "state {}: no structure gives it a rate",
+            "give it a rate and a start",
+            plant.states,
+            used,
+        ),
+        (
+            "part {!r}: no structure has it",
+            "add a structure with it",
+            plant.parts,
+            parts,
+        ),
     ):
-        yield from (Finding(message.format(n), f"remove it, or {todo}") for n in declared if n not in in_use)
+        yield from (
+            Finding(message.format(n), f"remove it, or {todo}")
+            for n in declared
+            if n not in in_use
+        )
 
 
 def unreached(plant: type[Plant]) -> Iterator[Finding]:
@@ -145,14 +185,30 @@ def unreached(plant: type[Plant]) -> Iterator[Finding]:
         place = f"structure {name!r}"
         outputs = list(outputs_of(plant(), written).values())
         acting = _acting(written, outputs)
-        used = _names([*outputs, *(rate for state, rate in written.rates.items() if str(state) in acting)])
+        used = _names(
+            [
+                *outputs,
+                *(
+                    rate
+                    for state, rate in written.rates.items()
+                    if str(state) in acting
+                ),
+            ]
+        )
         for drive in plant.drives:
             if drive not in used:
                 problem = f"{place}: the drive {drive} does not act on the output"
-                yield Finding(problem, f"use self.{drive} in the rate of a state that the output depends on")
-        for state in (str(state) for state in written.rates if str(state) not in acting):
+                yield Finding(
+                    problem,
+                    f"use self.{drive} in the rate of a state that the output depends on",
+                )
+        for state in (
+            str(state) for state in written.rates if str(state) not in acting
+        ):
             problem = f"{place}: state {state} does not act on the output, so no recording can show it"
-            yield Finding(problem, "remove it, or use it in the output or in another rate")
+            yield Finding(
+                problem, "remove it, or use it in the output or in another rate"
+            )
     yield from _same(plant, equations)
 
 
@@ -190,11 +246,17 @@ def _same(plant: type[Plant], equations: dict[str, Equations]) -> Iterator[Findi
         if parts and _are_same(equations[first], equations[second]):
             listed = " and ".join(sorted(parts))
             problem = f"structures {first!r} and {second!r} have the same equations: {listed} changes nothing"
-            yield Finding(problem, "use the part in `equations`, or remove one of the structures")
+            yield Finding(
+                problem, "use the part in `equations`, or remove one of the structures"
+            )
 
 
 def _are_same(first: Equations, second: Equations) -> bool:
-    return (first.rates, first.output, first.start) == (second.rates, second.output, second.start)
+    return (first.rates, first.output, first.start) == (
+        second.rates,
+        second.output,
+        second.start,
+    )
 
 
 def _names(expressions: Iterable[Any]) -> set[str]:
@@ -225,11 +287,11 @@ def coarse(plant: type[Plant]) -> Iterator[Finding]:
     for y in plant.outputs.values():
         low, high = y.span
         if y.least_step > high - low:
-            step = (
-                f"a step that stands out is {y.least_step:g} {y.unit}, more than its span {low:g} to {high:g}"
-            )
+            step = f"a step that stands out is {y.least_step:g} {y.unit}, more than its span {low:g} to {high:g}"
             problem = f"{y.name}: with a noise of {y.noise:g} {y.unit}, {step}"
-            yield Finding(problem, "correct `noise`, the scatter of a reading at rest, or `span`")
+            yield Finding(
+                problem, "correct `noise`, the scatter of a reading at rest, or `span`"
+            )
 
 
 def misdeclared(model: Model) -> Iterator[Finding]:
@@ -240,7 +302,9 @@ def misdeclared(model: Model) -> Iterator[Finding]:
         value = model.defaults[name]
         if not low <= value <= high:
             problem = f"{place}: the default of {name}, {value:g}, is outside its bounds {low:g} to {high:g}"
-            yield Finding(problem, "widen the bounds, or correct the default (or `fixed`)")
+            yield Finding(
+                problem, "widen the bounds, or correct the default (or `fixed`)"
+            )
 
 
 def ranges(model: Model) -> Iterator[Finding]:
@@ -257,10 +321,14 @@ def ranges(model: Model) -> Iterator[Finding]:
     )
     integrates = ~by_state.any(axis=0)
     outputs = model.plant.outputs
-    for y, values, by_state_of_output in zip(outputs.values(), run.outputs.T, output_by_state, strict=True):
+    for y, values, by_state_of_output in zip(
+        outputs.values(), run.outputs.T, output_by_state, strict=True
+    ):
         low = float(values.min())
         high = float(values.max())
-        if (low < y.span[0] or high > y.span[1]) and not by_state_of_output[integrates].any():
+        if (low < y.span[0] or high > y.span[1]) and not by_state_of_output[
+            integrates
+        ].any():
             name = f"the output {y.name}" if len(outputs) > 1 else "the output"
             yield Finding(
                 f"{model.title}: with the defaults, over the drive's range, {name} goes from {low:.4g} to "
@@ -299,7 +367,10 @@ def pace(model: Model, period: float | None) -> tuple[list[Finding], list[str]]:
         steps = parameters.steps(period)
     except PlantError as error:
         todo = "replace the fast state by its steady-state value, or sample faster"
-        return [*faults, Finding(f"{place}: {str(error).partition(': ')[2]}", todo)], notes
+        return [
+            *faults,
+            Finding(f"{place}: {str(error).partition(': ')[2]}", todo),
+        ], notes
     problem = (
         f"{place}: a sample of {period:g} s takes {steps} simulation steps; its shortest time constant "
         f"is {lags[0]:.3g} s"
@@ -316,7 +387,10 @@ def pace(model: Model, period: float | None) -> tuple[list[Finding], list[str]]:
     if lags[-1] > _SIMULATION.most_samples * period:
         many = f"{lags[-1] / period:.2g} periods of {period:g} s: no window can show it"
         faults.append(
-            Finding(f"{slowest} {many}", "sample less often, hold that state, or check units (s, not h)")
+            Finding(
+                f"{slowest} {many}",
+                "sample less often, hold that state, or check units (s, not h)",
+            )
         )
     return faults, notes
 
@@ -327,7 +401,10 @@ def _growing(place: str, parameters: Parameters) -> Iterator[Finding]:
     growth = float(poles.real.max(initial=0.0))
     if growth > _SIMULATION.growth * float(np.abs(poles).max(initial=0.0)):
         problem = f"{place}: it is unstable at its defaults: deviations grow by e in {1 / growth:.3g} s"
-        yield Finding(problem, "look for a wrong sign in the rates; an unstable plant needs a known `loop`")
+        yield Finding(
+            problem,
+            "look for a wrong sign in the rates; an unstable plant needs a known `loop`",
+        )
 
 
 def in_bounds(model: Model, period: float | None) -> Iterator[Finding]:
@@ -342,7 +419,9 @@ def in_bounds(model: Model, period: float | None) -> Iterator[Finding]:
         return
     bad: list[str] = []
     for row in _spread_points(len(free), _SIMULATION.points):
-        values = {n: _within(model, n, float(part)) for n, part in zip(free, row, strict=True)}
+        values = {
+            n: _within(model, n, float(part)) for n, part in zip(free, row, strict=True)
+        }
         where = ", ".join(f"{n} = {v:.3g}" for n, v in values.items())
         try:
             point = model.parameters(**values)
@@ -369,7 +448,9 @@ def _spread_points(dimensions: int, count: int) -> FloatArray:
     """
     random = np.random.default_rng(5)
     slices = random.permuted(np.tile(np.arange(count), (dimensions, 1)), axis=1).T
-    return np.asarray((slices + random.random((count, dimensions))) / count, dtype=np.float64)
+    return np.asarray(
+        (slices + random.random((count, dimensions))) / count, dtype=np.float64
+    )
 
 
 def _within(model: Model, name: str, part: float) -> float:

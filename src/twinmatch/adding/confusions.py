@@ -17,7 +17,14 @@ import numpy as np
 
 from twinmatch.adding.trial import middle_of
 from twinmatch.dynamics import Parameters, Plant, PlantError, begin, simulate_driven
-from twinmatch.dynamics.bank import BankMembers, ChangeTraces, Reading, spawn, step, unborn
+from twinmatch.dynamics.bank import (
+    BankMembers,
+    ChangeTraces,
+    Reading,
+    spawn,
+    step,
+    unborn,
+)
 from twinmatch.dynamics.pace import usual_scale
 from twinmatch.health.channels import CHANGE, LEAD
 from twinmatch.health.evidence import Competition
@@ -47,14 +54,19 @@ _COURSE: Final = _FaultCourse()
 
 _RIG: Final = int(np.flatnonzero(LEVELS == 1.0)[0])
 """Place of the model error of a real rig."""
-_WAYS: Final = {False: "even under large steps (a sample every {:g} s)", True: "if they come slowly"}
+_WAYS: Final = {
+    False: "even under large steps (a sample every {:g} s)",
+    True: "if they come slowly",
+}
 """How faults come: at once, or slowly."""
 _NINE_IN_TEN: Final = 1.28
 _APART: Final = 0.5 * (_NINE_IN_TEN + math.sqrt(_NINE_IN_TEN**2 + 2.0 * LEAD)) ** 2
 """Expected lead of a fault over another, nats, from which on it is named in nine of ten runs: a name needs a
 lead of `LEAD`, and noise moves one of n nats by √(2 n), the standard deviation of the log-likelihood ratio of
 two normal distributions that are n apart. It is 9.6."""
-_NOT_NAMED: Final = frozenset(fault for fault, traits in TRAITS.items() if traits.unnamed)
+_NOT_NAMED: Final = frozenset(
+    fault for fault, traits in TRAITS.items() if traits.unnamed
+)
 """The unknown is nobody's rival; what passes has passed when it counts."""
 
 
@@ -85,7 +97,9 @@ def confusions(plant: type[Plant], period: float | None = None) -> list[str]:
         ]
         if pairs:
             listed = "; ".join(dict.fromkeys(pairs))
-            sentences.append(f"faults that cannot be told apart, {way.format(period)}: {listed}")
+            sentences.append(
+                f"faults that cannot be told apart, {way.format(period)}: {listed}"
+            )
     too_small = [
         trial.called[fault.number]
         for fault, rivals_of_fault in rivals
@@ -93,7 +107,9 @@ def confusions(plant: type[Plant], period: float | None = None) -> list[str]:
     ]
     if too_small:
         listed = ", ".join(too_small)
-        sentences.append(f"faults too small to show beside such steps, at their usual size: {listed}")
+        sentences.append(
+            f"faults too small to show beside such steps, at their usual size: {listed}"
+        )
     return sentences
 
 
@@ -123,16 +139,22 @@ class FaultTrial:
         inputs = _steps(parameters, before + after, _COURSE.hold * pace)
         states = begin(parameters, middle_of(model), input=inputs[0])
         run = simulate_driven(parameters, inputs[:before], states=states, period=period)
-        shown = model.kernels.slopes_at(parameters.vector, states, inputs[0], model.disturbances)[6]
+        shown = model.kernels.slopes_at(
+            parameters.vector, states, inputs[0], model.disturbances
+        )[6]
         if shown.any():
-            raise PlantError(f"{model.title}: an output shows a drive at once, which no hypothesis expects")
+            raise PlantError(
+                f"{model.title}: an output shows a drive at once, which no hypothesis expects"
+            )
         self.healthy = run.outputs
         self.inputs = inputs
         self.states = run.states[-1]
         healthy.open(run.outputs[0], inputs[0], model.disturbances)
         self._members = BankMembers(*(array[[_RIG]] for array in healthy.members))
         self._members.error[:] = LEVELS[_RIG]
-        self._follow(self._members, unborn(0, len(healthy.numbers)), run.outputs, inputs)
+        self._follow(
+            self._members, unborn(0, len(healthy.numbers)), run.outputs, inputs
+        )
 
     def rivals(self, fault: ChangeRow) -> list[str] | None:
         """The numbers whose changes are not told apart from a fault; None if it is too small for a report."""
@@ -141,10 +163,16 @@ class FaultTrial:
         table = self._competition.table
         traces = unborn(len(rows), members.at.shape[1])
         spawn(traces, table, members.at, np.zeros(1), -1.0, len(self.inputs), 0)
-        saved = self._follow(members, traces, self.readings(fault), self.inputs[len(self.healthy) :])
+        saved = self._follow(
+            members, traces, self.readings(fault), self.inputs[len(self.healthy) :]
+        )
         saved += np.log(table.mass)
-        numbers = np.array([row.number if _is_of_one_number(row) else "" for row in rows])
-        savings_by_number = {name: saved[:, numbers == name].max(axis=1) for name in self.called}
+        numbers = np.array(
+            [row.number if _is_of_one_number(row) else "" for row in rows]
+        )
+        savings_by_number = {
+            name: saved[:, numbers == name].max(axis=1) for name in self.called
+        }
         savings_of_fault = savings_by_number.pop(fault.number)
         reported = savings_of_fault >= CHANGE
         if not reported.any():
@@ -167,14 +195,23 @@ class FaultTrial:
         offsets = np.zeros((len(inputs), model.noise.size))
         kind, _, place = fault.number.partition(" ")
         if kind == "share":
-            inputs[:, int(place)] += (inputs[:, int(place)] - model.rest[int(place)]) * change
+            inputs[:, int(place)] += (
+                inputs[:, int(place)] - model.rest[int(place)]
+            ) * change
         elif kind == "offset":
             offsets[:, int(place)] = change
         else:
             logged = healthy.fixed.free.logged[model.structure.free.index(kind)]
-            value = parameters[kind] * math.exp(size) if logged else parameters[kind] + size
+            value = (
+                parameters[kind] * math.exp(size) if logged else parameters[kind] + size
+            )
             parameters = parameters.replace(**{kind: value})
-        return simulate_driven(parameters, inputs, states=self.states, period=self._period).outputs + offsets
+        return (
+            simulate_driven(
+                parameters, inputs, states=self.states, period=self._period
+            ).outputs
+            + offsets
+        )
 
     def _follow(
         self, members: BankMembers, traces: ChangeTraces, ys: FloatArray, us: FloatArray
@@ -190,9 +227,18 @@ class FaultTrial:
         for k, (y, u) in enumerate(zip(ys, us, strict=False)):
             # What has no noise has no last digit either.
             reading = Reading(
-                y, is_read, zeros, noise, 1e-3 * noise, zeros, healthy.acting(u), model.disturbances
+                y,
+                is_read,
+                zeros,
+                noise,
+                1e-3 * noise,
+                zeros,
+                healthy.acting(u),
+                model.disturbances,
             )
-            step(model.kernels.code, healthy.fixed, members, traces, table, 1, reading, k)
+            step(
+                model.kernels.code, healthy.fixed, members, traces, table, 1, reading, k
+            )
             saved.append(traces.now - members.gained.sum())
         if not members.alive.all():
             raise PlantError(f"{model.title}: its filter is not finite")
@@ -222,7 +268,9 @@ def _is_tried(row: ChangeRow) -> bool:
 
 def size_of(fault: ChangeRow) -> float:
     """Its usual size, in its number's unit; a drive does less."""
-    return fault.shift or (-fault.spread if fault.number.startswith("share") else fault.spread)
+    return fault.shift or (
+        -fault.spread if fault.number.startswith("share") else fault.spread
+    )
 
 
 def _steps(parameters: Parameters, count: int, holds: float) -> FloatArray:

@@ -74,7 +74,9 @@ _TODO: Final = {
     "record a richer experiment: more levels, longer than the slowest time constant",
     Status.NOT_BETTER: "nothing is wrong: the previous candidate predicts equally well",
 }
-_REST_FIRST: Final = "rest first, then step: twinmatch experiment says for how long, and how far"
+_REST_FIRST: Final = (
+    "rest first, then step: twinmatch experiment says for how long, and how far"
+)
 _FAULTY: Final = (
     "leave that part of the recording out; if the plant was healthy, correct what is declared: `span` of the "
     "output (a sensor may stay at its ends), `noise`, or the parameters in `typical`"
@@ -102,14 +104,25 @@ def data_for(
         table, signal_map = with_derived(table, signal_map)
         full_map = with_plant_names(table, plant, signal_map)
         imported = map_samples(
-            table, full_map.joined(SignalMap(period=period)), plant, longest=longest, gaps=gaps
+            table,
+            full_map.joined(SignalMap(period=period)),
+            plant,
+            longest=longest,
+            gaps=gaps,
         )
-        session = session_of(path, imported.samples, plant=plant.name, has_reference=imported.has_reference)
+        session = session_of(
+            path,
+            imported.samples,
+            plant=plant.name,
+            has_reference=imported.has_reference,
+        )
         return replace(session, missing=imported.notes)
     return open_any(path, plant=plant.name, progress=progress)
 
 
-def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: None) -> CheckedPlant:
+def check_data(
+    session: Session, plant: type[Plant], show: Shown = lambda *_: None
+) -> CheckedPlant:
     """Check the plant against a recording: noise, duration, and results of the matches; with several loops,
     which are not matched, results of the fits to all of it.
 
@@ -125,7 +138,11 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
     compared = compare_structures(judgement.stretches, plant, terms.settings)
     findings, notes = _of_samples(session, plant, terms.settings.start, compared.least)
     findings += loop_findings(session, plant, terms.settings.law)
-    inseparable = None if judgement.matches or faults else inseparable_in(judgement.stretches, plant)
+    inseparable = (
+        None
+        if judgement.matches or faults
+        else inseparable_in(judgement.stretches, plant)
+    )
     if inseparable is None:
         findings += _of_matches(judgement.matches, faults, terms.settings, size)
     else:
@@ -136,26 +153,38 @@ def check_data(session: Session, plant: type[Plant], show: Shown = lambda *_: No
     matches = [report.match for report in judgement.matches]
     accepted = sum(match.accepted for match in matches)
     if 2 * accepted < len(matches):
-        findings += compared.findings  # where matches are accepted anyway, it is a remark
+        # where matches are accepted anyway, it is a remark
+        findings += compared.findings
     if not accepted and any(match.status is Status.NOT_EXPLAINED for match in matches):
         findings += _of_what_is_left(compared.least, plant)
-    return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), tuple(notes))
+    return CheckedPlant(
+        f"{plant.title} on {session.name}", tuple(findings), tuple(notes)
+    )
 
 
 def _check_fits(session: Session, plant: type[Plant], show: Shown) -> CheckedPlant:
     size = len(session.samples)
     show(f"fitting {len(plant.structures)} structures to {size} samples", size, size)
     without_gaps = stretches(session.samples, session.period)
-    windows = [part for window in _windows(without_gaps) for part in in_parts(plant, window)]
+    windows = [
+        part for window in _windows(without_gaps) for part in in_parts(plant, window)
+    ]
     compared = _compared(windows, plant, size, noise=Noise.of(plant), law=None)
-    findings, notes = _of_samples(session, plant, plant.model().parameters(), compared.least)
+    findings, notes = _of_samples(
+        session, plant, plant.model().parameters(), compared.least
+    )
     findings += [*compared.findings, *_of_what_is_left(compared.least, plant)]
     notes += [*_note_on_short(without_gaps), *compared.notes]
-    return CheckedPlant(f"{plant.title} on {session.name}", tuple(findings), tuple(notes))
+    return CheckedPlant(
+        f"{plant.title} on {session.name}", tuple(findings), tuple(notes)
+    )
 
 
 def _of_samples(
-    session: Session, plant: type[Plant], parameters: Parameters, least: tuple[float, ...]
+    session: Session,
+    plant: type[Plant],
+    parameters: Parameters,
+    least: tuple[float, ...],
 ) -> tuple[list[Finding], list[str]]:
     """The noise of every output, which may be what the best fit leaves at `least`, and the duration."""
     findings = []
@@ -163,31 +192,39 @@ def _of_samples(
     outputs = plant.outputs
     longest = max(stretches(session.samples, session.period), key=len)
     inputs = [*longest.inputs.T, *longest.disturbances.T]
-    measured = {n: noise_of(y, inputs) for n, y in zip(outputs, longest.outputs.T, strict=True)}
+    measured = {
+        n: noise_of(y, inputs) for n, y in zip(outputs, longest.outputs.T, strict=True)
+    }
     listed = ", ".join(
-        f"{noise:g}{f' ({name})' if len(outputs) > 1 else ''}" for name, noise in measured.items()
+        f"{noise:g}{f' ({name})' if len(outputs) > 1 else ''}"
+        for name, noise in measured.items()
     )
     notes = [*session.missing]
-    notes += [f"{session.name}: {size} samples, one every {session.period:g} s; measured noise {listed}"]
+    notes += [
+        f"{session.name}: {size} samples, one every {session.period:g} s; measured noise {listed}"
+    ]
     residuals = dict(zip(outputs, least, strict=False))
     for name, noise in measured.items():
         declared = outputs[name].noise
         of_output = f" {name}" if len(outputs) > 1 else ""
         largest_explained = max(noise, residuals.get(name, 0.0) / _NOISE_RULE.part)
-        if noise > declared * _NOISE_RULE.small or declared > _NOISE_RULE.large * largest_explained:
-            problem = (
-                f"the noise of the output{of_output} is declared as {declared:g}, but measured as {noise:g}"
+        if (
+            noise > declared * _NOISE_RULE.small
+            or declared > _NOISE_RULE.large * largest_explained
+        ):
+            problem = f"the noise of the output{of_output} is declared as {declared:g}, but measured as {noise:g}"
+            findings.append(
+                Finding(
+                    problem, "correct `noise`: every judgement of the fit depends on it"
+                )
             )
-            findings.append(Finding(problem, "correct `noise`: every judgement of the fit depends on it"))
         if _NOISE_RULE.small * noise < declared <= _NOISE_RULE.large * noise:
             ratio = f"{declared / noise:.2g} times the measured one"
             errors = f"errors of{of_output}" if of_output else "errors"
             notes.append(f"{errors} count in units of the declared noise, {ratio}")
     lags = time_constants(parameters)
     if lags.size and size * session.period < 2 * lags[-1]:
-        problem = (
-            f"the recording lasts {size * session.period:g} s, less than twice the slowest time constant"
-        )
+        problem = f"the recording lasts {size * session.period:g} s, less than twice the slowest time constant"
         todo = f"record at least {2 * lags[-1]:.3g} s, or check the default of that parameter"
         findings.append(Finding(f"{problem} ({lags[-1]:.3g} s)", todo))
     return findings, notes
@@ -208,7 +245,10 @@ def _of_what_is_left(least: tuple[float, ...], plant: type[Plant]) -> Iterator[F
 
 
 def _of_matches(
-    matches: tuple[MatchReport, ...], faults: Sequence[str], settings: TwinSettings, size: int
+    matches: tuple[MatchReport, ...],
+    faults: Sequence[str],
+    settings: TwinSettings,
+    size: int,
 ) -> Iterator[Finding]:
     least = settings.schedule.min_span
     period = settings.period
@@ -218,7 +258,8 @@ def _of_matches(
     elif not matches and size <= least:
         problem = f"no window could be matched: the recording lasts {size * period:g} s"
         yield Finding(
-            problem, f"record at least {2 * least * period:g} s, with steps of the input that stand out"
+            problem,
+            f"record at least {2 * least * period:g} s, with steps of the input that stand out",
         )
     elif not matches:
         problem = (
@@ -227,10 +268,17 @@ def _of_matches(
         )
         yield Finding(problem, _TODO[Status.NO_EXCITATION])
     elif not any(report.match.accepted for report in matches):
-        for status, number in Counter(report.match.status for report in matches).most_common(2):
-            first = next(report.match for report in matches if report.match.status is status)
+        for status, number in Counter(
+            report.match.status for report in matches
+        ).most_common(2):
+            first = next(
+                report.match for report in matches if report.match.status is status
+            )
             problem = f"{number} of {len(matches)} matches were refused as {status.value}: {first.reason}"
-            yield Finding(problem, "; or ".join(filter(None, (first.suggestion, _TODO.get(status)))))
+            yield Finding(
+                problem,
+                "; or ".join(filter(None, (first.suggestion, _TODO.get(status)))),
+            )
 
 
 def _accepted(matches: tuple[MatchReport, ...]) -> list[str]:
@@ -265,16 +313,23 @@ class _LoopRule:
 _LOOP_RULE: Final = _LoopRule()
 
 
-def loop_findings(session: Session, plant: type[Plant], law: Law | None) -> Iterator[Finding]:
+def loop_findings(
+    session: Session, plant: type[Plant], law: Law | None
+) -> Iterator[Finding]:
     """A finding if the declared controller does not give the recorded input from set-points and outputs."""
     if law is None or not session.has_reference:
         return
     rms = root_mean_square(
-        [errors for run in _runs(session.samples, law.period) for errors in _errors(run, law)]
+        [
+            errors
+            for run in _runs(session.samples, law.period)
+            for errors in _errors(run, law)
+        ]
     )
     usual = float(np.std([sample.input for sample in session.samples]))
     unit = plant.drive.unit
-    if rms > max(_LOOP_RULE.share * usual, plant.drive.noise):  # not a number without such a run
+    if rms > max(_LOOP_RULE.share * usual, plant.drive.noise):
+        # not a number without such a run
         yield Finding(
             "the loop in the file does not give the recorded input: run on the recorded set-points and "
             f"outputs, it is {rms:.2g} {unit} off (RMS; the input's own standard deviation is {usual:.2g} "
@@ -297,11 +352,20 @@ def _errors(run: Window, law: Law) -> Iterator[FloatArray]:
     """Input of the declared controller minus the recorded one, from its first two samples within limits on:
     the controller's state follows from those."""
     within = [not law.saturates(float(u)) for u in run.input]
-    begin = next((k for k in range(len(run) - _LOOP_RULE.shortest) if within[k] and within[k + 1]), None)
+    begin = next(
+        (
+            k
+            for k in range(len(run) - _LOOP_RULE.shortest)
+            if within[k] and within[k + 1]
+        ),
+        None,
+    )
     if begin is None:
         return
     part = run.part(run.first + begin, run.last)
-    commands, _ = commands_of(law.code, law.state(part), part.references[2:], part.outputs[2:])
+    commands, _ = commands_of(
+        law.code, law.state(part), part.references[2:], part.outputs[2:]
+    )
     yield only("input", commands) - part.input[2:]
 
 
@@ -346,7 +410,9 @@ def compare_structures(
     windows = _windows(without_gaps)
     total = sum(map(len, without_gaps))
     first = settings.start.model.structure_name
-    compared = _compared(windows, plant, total, noise=settings.noise, law=settings.law, first=first)
+    compared = _compared(
+        windows, plant, total, noise=settings.noise, law=settings.law, first=first
+    )
     return compared._replace(notes=[*_note_on_short(without_gaps), *compared.notes])
 
 
@@ -359,34 +425,47 @@ def _compared(
     law: Law | None,
     first: str = "",
 ) -> Compared:
-    names = [name for name, structure in plant.structures.items() if structure.external is None]
+    names = [
+        name
+        for name, structure in plant.structures.items()
+        if structure.external is None
+    ]
     if not windows:
         return Compared([], [], ())
     models = [plant.model(name) for name in names]
     try:
         choice = choose_structure(windows, models, noise=noise, law=law)
     except (FittingError, PlantError) as error:
-        return Compared([], [f"the structures cannot be compared on this recording: {error}"], ())
+        return Compared(
+            [], [f"the structures cannot be compared on this recording: {error}"], ()
+        )
     used = sum(len(window) for window in windows)
     extent = f"all {used}" if used == total else f"{used} of {total}"
     notes = [f"each structure fitted to {extent} samples:"]
     notes += [f"  {_line(score, plant)}" for score in choice.scores]
     notes += [choice.sentence] if len(names) > 1 else []
-    least = tuple(np.min([_rms(score.fitted) for score in choice.scores], axis=0).tolist())
+    least = tuple(
+        np.min([_rms(score.fitted) for score in choice.scores], axis=0).tolist()
+    )
     if on_rows := tuple(_of_rows(choice, windows, noise, law)):
         return Compared([], notes, least, on_rows)
     chosen = choice.chosen
     findings = []
     first = first or names[0]
     if chosen != first:
-        problem = f"the recording supports the structure {chosen!r} rather than {first!r}"
+        problem = (
+            f"the recording supports the structure {chosen!r} rather than {first!r}"
+        )
         todo = "put it first in `structures`: single windows are matched with the first one"
         findings.append(Finding(problem, todo))
     lack = _lack(choice.score, windows, noise, law)
     if lack is not None and _is_chosen(lack.model, models, windows, noise, law):
         problem = f"the structure {chosen!r} leaves residuals: {lack} (squared)"
         findings.append(Finding(problem, "add the lines above to the plant file"))
-        notes += [f"lines that add {lack.what} to the plant file:", *(f"  {line}" for line in lack.lines)]
+        notes += [
+            f"lines that add {lack.what} to the plant file:",
+            *(f"  {line}" for line in lack.lines),
+        ]
     return Compared(findings, notes, least)
 
 
@@ -401,11 +480,17 @@ def _of_rows(
     if law is not None or left_now <= LEFT:
         return
     windows_ahead = [_a_row_ahead(window) for window in windows]
-    simplest = min(choice.scores, key=lambda score: len(score.fitted.model.structure.free))
+    simplest = min(
+        choice.scores, key=lambda score: len(score.fitted.model.structure.free)
+    )
     for score in {score.name: score for score in (simplest, choice.score)}.values():
         try:
             ahead = fit_structure(
-                windows_ahead, score.fitted.model, start=score.fitted, noise=noise, law=None
+                windows_ahead,
+                score.fitted.model,
+                start=score.fitted,
+                noise=noise,
+                law=None,
             )
         except TwinmatchError:
             continue
@@ -435,7 +520,11 @@ def _left(fitted: StructureFit, noise: Noise) -> float:
 
 
 def _is_chosen(
-    grown: Model, models: Sequence[Model], windows: Sequence[Window], noise: Noise, law: Law | None
+    grown: Model,
+    models: Sequence[Model],
+    windows: Sequence[Window],
+    noise: Noise,
+    law: Law | None,
 ) -> bool:
     """Whether a plant with an effect added is chosen beside the structures of the file."""
     others = [model for model in models if model.structure_name != grown.structure_name]
@@ -446,7 +535,9 @@ def _is_chosen(
     return choice.chosen == grown.structure_name
 
 
-def _lack(score: StructureScore, windows: Sequence[Window], noise: Noise, law: Law | None) -> Lack | None:
+def _lack(
+    score: StructureScore, windows: Sequence[Window], noise: Noise, law: Law | None
+) -> Lack | None:
     """The effect that explains most of what the chosen structure leaves, if it leaves much."""
 
     def fit(start: Parameters) -> tuple[Parameters, float] | None:
@@ -488,7 +579,9 @@ def _liveliest_part(outputs: FloatArray, count: int) -> int:
     most = -math.inf
     last = len(outputs) - count
     for begin in (*range(0, last, max(count // _EXTENT.places, 1)), last):
-        movement = float(np.sum(np.std(outputs[begin : begin + count], axis=0) / scales))
+        movement = float(
+            np.sum(np.std(outputs[begin : begin + count], axis=0) / scales)
+        )
         if movement > _EXTENT.livelier * most or begin == 0:
             best = begin
             most = movement
@@ -508,14 +601,21 @@ def _note_on_short(without_gaps: Sequence[Window]) -> list[str]:
     if not short or len(short) == len(without_gaps):
         return []
     stretches_are = "1 stretch is" if len(short) == 1 else f"{len(short)} stretches are"
-    return [f"{stretches_are} left out of the comparison: {sum(short)} samples, fewer than {least:.0f} each"]
+    return [
+        f"{stretches_are} left out of the comparison: {sum(short)} samples, fewer than {least:.0f} each"
+    ]
 
 
 def _line(score: StructureScore, plant: type[Plant]) -> str:
-    values = ", ".join(f"{name} = {score.parameters[name]:.4g}" for name in score.fitted.model.structure.free)
+    values = ", ".join(
+        f"{name} = {score.parameters[name]:.4g}"
+        for name in score.fitted.model.structure.free
+    )
     fit = "" if math.isnan(score.fit[0]) else f", fit {score.fit[0]:.1%}"
     pairs = zip(plant.outputs.values(), _rms(score.fitted), strict=True)
-    residuals = " and ".join(f"{rms:.3g} {y.unit} ({rms / y.noise:.3g} × noise)" for y, rms in pairs)
+    residuals = " and ".join(
+        f"{rms:.3g} {y.unit} ({rms / y.noise:.3g} × noise)" for y, rms in pairs
+    )
     return f"{score.name}: leaves {residuals}{fit}; held back, it is off by {score.off:.3g} × noise; {values}"
 
 

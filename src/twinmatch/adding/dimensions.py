@@ -45,34 +45,48 @@ class Dimensions:
         self.unchecked: set[str] = set()
         """Numbers that may have a hidden unit."""
         self._plant = plant
-        self._symbols = {getattr(plant(), name): d for name, d in plant.declarations.items()}
+        self._symbols = {
+            getattr(plant(), name): d for name, d in plant.declarations.items()
+        }
         self._units = {s: measure(d.unit) for s, d in self._symbols.items()}
 
     @property
     def unknown_units(self) -> list[str]:
         """Declared units that are not known."""
-        return sorted({self._symbols[s].unit for s, unit in self._units.items() if not unit.known})
+        return sorted(
+            {self._symbols[s].unit for s, unit in self._units.items() if not unit.known}
+        )
 
     def check(self, parts: frozenset[str]) -> None:
         """Check the equations with these parts."""
-        import sympy  # noqa: PLC0415 (takes a second, used only here)
+        import sympy  # noqa: PLC0415
 
         written = written_equations(self._plant(), parts)
         second = measure("s")
         for state, rate in written.rates.items():
             place = f"the rate of {state}"
-            expected = _times(_unit_of(self._units[state]), _unit_of(second), Fraction(-1))
+            expected = _times(
+                _unit_of(self._units[state]), _unit_of(second), Fraction(-1)
+            )
             unit = self._symbols[state].unit or "1"
             self._compare(place, sympy.sympify(rate), expected, f"{unit} per second")
         outputs = outputs_of(self._plant(), written)
         for place, symbol, expression in (
-            *((f"the output {y}" if len(outputs) > 1 else "the output", y, e) for y, e in outputs.items()),
-            *((f"the start of {state}", state, start) for state, start in written.start.items()),
+            *(
+                (f"the output {y}" if len(outputs) > 1 else "the output", y, e)
+                for y, e in outputs.items()
+            ),
+            *(
+                (f"the start of {state}", state, start)
+                for state, start in written.start.items()
+            ),
         ):
             shown = sympy.sympify(expression)
             unit = self._symbols[symbol].unit or "a number"
             self._compare(place, shown, _unit_of(self._units[symbol]), unit)
-            self._zeros(place, [(symbol, -1), *_terms(shown)], numbers=_has_number(shown))
+            self._zeros(
+                place, [(symbol, -1), *_terms(shown)], numbers=_has_number(shown)
+            )
 
     def _compare(self, place: str, expression: Any, wanted: _Unit, words: str) -> None:
         unit = self._unit(place, expression)
@@ -84,16 +98,21 @@ class Dimensions:
             self._add(problem, todo)
         elif ratio := _ratio(unit, wanted):
             problem = f"{place}: has {ratio:g} times the unit {words}"
-            self._add(problem, "declare units of one scale (s, not min; W, not kW), or multiply")
+            self._add(
+                problem,
+                "declare units of one scale (s, not min; W, not kW), or multiply",
+            )
 
     def _add(self, problem: str, todo: str) -> None:
         self.findings.setdefault(problem, Finding(problem, todo))
 
-    def _unit(self, place: str, expression: Any) -> _Known:  # noqa: PLR0911 (one for each kind)
+    def _unit(self, place: str, expression: Any) -> _Known:  # noqa: PLR0911
         import sympy  # noqa: PLC0415
 
         if expression.is_Symbol:
-            return _unit_of(self._units[expression]) if expression in self._units else None
+            return (
+                _unit_of(self._units[expression]) if expression in self._units else None
+            )
         if expression.is_number:
             return None
         if isinstance(expression, sympy.Mul):
@@ -111,7 +130,10 @@ class Dimensions:
             unit = self._unit(place, argument)
             if unit is not None and unit.powers:
                 problem = f"{place}: the argument of {_short(expression)} has the unit {_words(unit)}"
-                self._add(problem, "divide by a quantity of that unit: the argument must be a plain number")
+                self._add(
+                    problem,
+                    "divide by a quantity of that unit: the argument must be a plain number",
+                )
         return _Unit({}, 1.0)
 
     def _product(self, place: str, expression: Any) -> _Known:
@@ -123,7 +145,11 @@ class Dimensions:
                     total = None
                 continue
             unit = self._unit(place, factor)
-            total = None if total is None or unit is None else _times(total, unit, Fraction(1))
+            total = (
+                None
+                if total is None or unit is None
+                else _times(total, unit, Fraction(1))
+            )
         return total
 
     def _power(self, place: str, expression: Any) -> _Known:
@@ -141,14 +167,25 @@ class Dimensions:
         if base.is_Symbol and self._units[base].offset and exponent > 1:
             declared = self._symbols[base].unit
             problem = f"{place}: {_short(expression)} takes a power of {base}, which is in {declared}"
-            self._add(problem, f"convert it to absolute temperature first: ({base} + 273.15) in kelvin")
+            self._add(
+                problem,
+                f"convert it to absolute temperature first: ({base} + 273.15) in kelvin",
+            )
         if base_unit is None:
             return None
         power = Fraction(float(exponent)).limit_denominator(1000)
-        return _times(_Unit({}, 1.0), base_unit, Fraction(str(exponent)) if exponent.is_Rational else power)
+        return _times(
+            _Unit({}, 1.0),
+            base_unit,
+            Fraction(str(exponent)) if exponent.is_Rational else power,
+        )
 
     def _equal(self, place: str, parts: Any) -> _Known:
-        with_units = [(part, unit) for part in parts if (unit := self._unit(place, part)) is not None]
+        with_units = [
+            (part, unit)
+            for part in parts
+            if (unit := self._unit(place, part)) is not None
+        ]
         for part, unit in with_units[1:]:
             first, first_unit = with_units[0]
             if not _alike(unit, first_unit):
@@ -156,15 +193,21 @@ class Dimensions:
                     f"{place}: {_short(part)} in {_words(unit)} is added to or compared with "
                     f"{_short(first)} in {_words(first_unit)}"
                 )
-                self._add(problem, "look for a missing factor in one of the two, and check their units")
-            elif ratio := _ratio(unit, first_unit):
-                problem = (
-                    f"{place}: {_short(part)} has {ratio:g} times the unit of {_short(first)}, in one sum"
+                self._add(
+                    problem,
+                    "look for a missing factor in one of the two, and check their units",
                 )
-                self._add(problem, "declare both in units of one scale, or multiply one of them")
+            elif ratio := _ratio(unit, first_unit):
+                problem = f"{place}: {_short(part)} has {ratio:g} times the unit of {_short(first)}, in one sum"
+                self._add(
+                    problem,
+                    "declare both in units of one scale, or multiply one of them",
+                )
         return with_units[0][1] if with_units else None
 
-    def _zeros(self, place: str, terms: list[tuple[Any, Any]], *, numbers: bool) -> None:
+    def _zeros(
+        self, place: str, terms: list[tuple[Any, Any]], *, numbers: bool
+    ) -> None:
         """Find temperatures with different zeros in one sum."""
         if numbers:
             return
@@ -184,7 +227,10 @@ class Dimensions:
 
 
 def _unit_of(measured: Measure) -> _Unit:
-    powers = {name: Fraction(power).limit_denominator(1000) for name, power in measured.dimension}
+    powers = {
+        name: Fraction(power).limit_denominator(1000)
+        for name, power in measured.dimension
+    }
     return _Unit(powers, measured.factor)
 
 
@@ -227,8 +273,15 @@ def _plain(number: Any) -> bool:
 
 def _terms(expression: Any) -> list[tuple[Any, Any]]:
     """Symbols that are terms of a sum by themselves, with their signs."""
-    coefficients = [term.as_coeff_Mul() for term in (expression.args if expression.is_Add else (expression,))]
-    return [(symbol, int(number)) for number, symbol in coefficients if symbol.is_Symbol and abs(number) == 1]
+    coefficients = [
+        term.as_coeff_Mul()
+        for term in (expression.args if expression.is_Add else (expression,))
+    ]
+    return [
+        (symbol, int(number))
+        for number, symbol in coefficients
+        if symbol.is_Symbol and abs(number) == 1
+    ]
 
 
 def _has_number(expression: Any) -> bool:
@@ -244,13 +297,30 @@ _BASE = {
 
 def _words(unit: _Unit) -> str:
     """Name of a common unit, otherwise the unit in base units."""
-    for name in ("W", "J", "V", "Ω", "N", "Pa", "W/K", "J/K", "K/s", "N m", "V/K", "W/m²", "m³/s", "C", "F"):
+    for name in (
+        "W",
+        "J",
+        "V",
+        "Ω",
+        "N",
+        "Pa",
+        "W/K",
+        "J/K",
+        "K/s",
+        "N m",
+        "V/K",
+        "W/m²",
+        "m³/s",
+        "C",
+        "F",
+    ):
         if _alike(_unit_of(measure(name)), unit):
             return name
     if not unit.powers:
         return "plain numbers"
     return " ".join(
-        f"{_BASE.get(name, name)}{'' if power == 1 else f'^{power}'}" for name, power in unit.powers.items()
+        f"{_BASE.get(name, name)}{'' if power == 1 else f'^{power}'}"
+        for name, power in unit.powers.items()
     )
 
 

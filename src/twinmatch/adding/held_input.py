@@ -25,7 +25,9 @@ def is_held(drive: FloatArray) -> bool:
     return bool(counts.max() >= _STOOD * drive.size)
 
 
-def begun_at_rest(reading: FloatArray, drive: FloatArray, final: float) -> GainAndRest | None:
+def begun_at_rest(
+    reading: FloatArray, drive: FloatArray, final: float
+) -> GainAndRest | None:
     """Gain and rest if the output rested at its first readings, and tends to `final` since the drive stands
     where it is held; None if the drive stands where it began, or at zero."""
     levels, counts = np.unique(drive, return_counts=True)

@@ -114,7 +114,11 @@ def noise_of(values: FloatArray, inputs: Sequence[FloatArray] = ()) -> float:
     digit = float(np.min(changes[changes > _DIGITS.smallest * reach], initial=math.inf))
     off_grid = np.abs(changes / digit - np.rint(changes / digit))
     in_digits = np.mean(off_grid < _DIGITS.on_grid) > _DIGITS.nearly_all
-    least = digit / math.sqrt(12.0) if in_digits and digit < math.inf else _DIGITS.floor * reach
+    least = (
+        digit / math.sqrt(12.0)
+        if in_digits and digit < math.inf
+        else _DIGITS.floor * reach
+    )
     return float(f"{max(white, resolution(y) / math.sqrt(12.0), least):.2g}")
 
 
@@ -130,13 +134,15 @@ def resolution(values: FloatArray) -> float:
     if steps.size < _DIGITS.steps:
         return 0.0
     steps = np.minimum(steps, _BLOCKS.loud * np.median(steps))
-    step = math.sqrt(np.average(steps**2, weights=(lengths[1:] + lengths[:-1])[both_held]))
+    step = math.sqrt(
+        np.average(steps**2, weights=(lengths[1:] + lengths[:-1])[both_held])
+    )
     return step if step < float(np.ptp(values)) / _DIGITS.steps else 0.0
 
 
 def _unexplained(values: FloatArray, inputs: Sequence[FloatArray]) -> FloatArray:
     """Readings without what first-order lags of the inputs explain, and of where the plant was at first."""
-    from scipy.signal import lfilter  # noqa: PLC0415 (takes a second, used only here)
+    from scipy.signal import lfilter  # noqa: PLC0415
 
     size = values.size
     count = min(_ANSWERS.lags, size // (_ANSWERS.per_lag * (1 + len(inputs))))
@@ -151,8 +157,14 @@ def _unexplained(values: FloatArray, inputs: Sequence[FloatArray]) -> FloatArray
     residuals = values
     has_no_spike = np.ones(size, dtype=np.bool_)
     for _ in range(2):  # the second time without spikes
-        residuals = values - table @ np.linalg.lstsq(table[has_no_spike], values[has_no_spike], rcond=None)[0]
-        has_no_spike = np.abs(residuals) <= _ANSWERS.spike * np.median(np.abs(residuals))
+        residuals = (
+            values
+            - table
+            @ np.linalg.lstsq(table[has_no_spike], values[has_no_spike], rcond=None)[0]
+        )
+        has_no_spike = np.abs(residuals) <= _ANSWERS.spike * np.median(
+            np.abs(residuals)
+        )
     return residuals
 
 
@@ -175,7 +187,10 @@ def _noise(values: FloatArray) -> float:
 
 def _distance_of_noise(variances: Sequence[_Variance]) -> int:
     """Place of the distance at which noise does not resemble itself any longer; 0 where none shows it."""
-    growth = [after.median / max(before.median, 1e-300) for before, after in pairwise(variances)]
+    growth = [
+        after.median / max(before.median, 1e-300)
+        for before, after in pairwise(variances)
+    ]
     has_ended = [factor < _GROWTH.level or factor > _GROWTH.steep for factor in growth]
     end = has_ended.index(True) if any(has_ended) else len(growth)
     has_arrived = end < len(growth) and growth[end] < _GROWTH.level
@@ -206,7 +221,9 @@ def _typical(values: FloatArray, distance: int) -> _Variance | None:
     usual = max(by_median, by_mean)
     squares = np.square(bends[bends <= 4.0 * usual]) / 6.0  # without spikes
     block = min(block, squares.size)
-    means = squares[: squares.size - squares.size % block].reshape(-1, block).mean(axis=1)
+    means = (
+        squares[: squares.size - squares.size % block].reshape(-1, block).mean(axis=1)
+    )
     middle = float(np.median(means))
     quiet = float(np.quantile(means, 0.25)) / _BLOCKS.quiet
     if quiet < middle / _BLOCKS.far:

@@ -67,11 +67,25 @@ _MOST: Final = 1e100
 _KNOWN: Final = ("time", "output", "input", "reference")
 _ROLES: Final = {"output": "measured", "input": "drive"}
 """Names of these signals where the table calls them by the name of another one, as PID libraries do."""
-_RANGES: Final = ((0.0, 1.0), (0.0, 100.0), (-1.0, 1.0), (-100.0, 100.0), (0.0, 255.0), (-255.0, 255.0))
+_RANGES: Final = (
+    (0.0, 1.0),
+    (0.0, 100.0),
+    (-1.0, 1.0),
+    (-100.0, 100.0),
+    (0.0, 255.0),
+    (-255.0, 255.0),
+)
 """Usual ranges of a drive's command."""
 _BEYOND: Final = 0.05
 """A command may go beyond a usual range by this share of it, as that of a controller without limits does."""
-_OFFSET_UNITS: Final = {"degc": "°C", "c": "°C", "°c": "°C", "celsius": "°C", "degf": "°F", "sec": "s"}
+_OFFSET_UNITS: Final = {
+    "degc": "°C",
+    "c": "°C",
+    "°c": "°C",
+    "celsius": "°C",
+    "degf": "°F",
+    "sec": "s",
+}
 
 
 class Signal(NamedTuple):
@@ -128,7 +142,9 @@ class Proposal:
     @property
     def around(self) -> Signal | None:
         """The disturbance that the output tends to without input: the first one of the output's kind."""
-        return next((d for d in self.disturbances if alike(d.unit, self.output.unit)), None)
+        return next(
+            (d for d in self.disturbances if alike(d.unit, self.output.unit)), None
+        )
 
 
 def is_signal(name: str, role: str) -> bool:
@@ -156,7 +172,9 @@ def example() -> Proposal:
     )
 
 
-def propose(table: Table, signal_map: SignalMap, *, longest: float | None = None) -> Proposal:
+def propose(
+    table: Table, signal_map: SignalMap, *, longest: float | None = None
+) -> Proposal:
     """Estimate the numbers for a first plant file from a table.
 
     Args:
@@ -165,14 +183,23 @@ def propose(table: Table, signal_map: SignalMap, *, longest: float | None = None
         longest: longest step between rows that is interpolated, s; judged by the rows if not given.
     """
     require_columns(table, signal_map)
-    sources = {name: with_titles(table, source) for name, source in signal_map.sources.items()}
+    sources = {
+        name: with_titles(table, source) for name, source in signal_map.sources.items()
+    }
     times = times_of(table, sources.get("time"), signal_map.period)
     resampled, bridge = on_one_clock(table, sources, times, signal_map.period, longest)
     disturbance_names = [name for name in signal_map.sources if name not in _KNOWN]
     reading = resampled.columns["output"]
     noise, model = _estimated(resampled, disturbance_names)
     output_unit = unit_of(table, sources, "output")
-    around = next((n for n in disturbance_names if alike(unit_of(table, sources, n), output_unit)), None)
+    around = next(
+        (
+            n
+            for n in disturbance_names
+            if alike(unit_of(table, sources, n), output_unit)
+        ),
+        None,
+    )
     if around is not None:
         model = model._replace(rest=float(resampled.columns[around].mean()))
     drive = signal_values(table, sources, "input")
@@ -180,10 +207,14 @@ def propose(table: Table, signal_map: SignalMap, *, longest: float | None = None
     names_in_file: list[str] = []
     output_name = signal_name(sources, "output", names_in_file)
     input_name = signal_name(sources, "input", names_in_file)
-    disturbances = disturbance_signals(table, sources, disturbance_names, resampled, names_in_file)
+    disturbances = disturbance_signals(
+        table, sources, disturbance_names, resampled, names_in_file
+    )
     period = signal_map.period or usual_period(model.lag, resampled.period)
     return Proposal(
-        output=Signal(output_name, output_unit, *_output_range(reading, drive_range, model)),
+        output=Signal(
+            output_name, output_unit, *_output_range(reading, drive_range, model)
+        ),
         input=Signal(input_name, unit_of(table, sources, "input"), *drive_range),
         disturbances=tuple(disturbances.values()),
         noise=noise,
@@ -218,11 +249,15 @@ def disturbance_signals(
     for name in names:
         values = resampled.columns[name]
         unit = unit_of(table, sources, name)
-        disturbances[name] = Signal(word(name, names_in_file), unit, float(values.min()), float(values.max()))
+        disturbances[name] = Signal(
+            word(name, names_in_file), unit, float(values.min()), float(values.max())
+        )
     return disturbances
 
 
-def by_names_in_file(signal_map: SignalMap, disturbances: Mapping[str, Signal]) -> dict[str, SignalSource]:
+def by_names_in_file(
+    signal_map: SignalMap, disturbances: Mapping[str, Signal]
+) -> dict[str, SignalSource]:
     """The sources of a map with the names that disturbances have in the file."""
     sources = {}
     for name, source in signal_map.sources.items():
@@ -230,7 +265,9 @@ def by_names_in_file(signal_map: SignalMap, disturbances: Mapping[str, Signal]) 
     return sources
 
 
-def notes_on_table(table: Table, sources: Mapping[str, SignalSource], times: Times) -> tuple[str, ...]:
+def notes_on_table(
+    table: Table, sources: Mapping[str, SignalSource], times: Times
+) -> tuple[str, ...]:
     """How a table was read."""
     of_times = notes_on_times(table, sources.get("time"), times)
     return (*table.notes, *notes_on_readings(table, sources), *of_times)
@@ -260,7 +297,8 @@ def on_one_clock(
         RecordingError: the rows cannot be resampled, or values are too large for squares.
     """
     names = sorted(
-        (name for name in sources if name != "time"), key=lambda name: not is_signal(name, "output")
+        (name for name in sources if name != "time"),
+        key=lambda name: not is_signal(name, "output"),
     )
     kinds: dict[str, Kind] = dict.fromkeys(names, "reading")
     for name in names:
@@ -274,7 +312,9 @@ def on_one_clock(
     columns = (times.seconds, *signals.values())
     rows = complete_rows(*columns)
     if rows.size < 2:
-        raise RecordingError(f"{table.path}: fewer than two rows have a value of {', '.join(names)}")
+        raise RecordingError(
+            f"{table.path}: fewer than two rows have a value of {', '.join(names)}"
+        )
     rows = np.setdiff1d(rows, repeated(rows, *columns))
     bridge = second_pace(times.seconds[rows]) if longest is None else longest
     resampled = resample(
@@ -295,7 +335,9 @@ def _require_usual_sizes(table: Table, signals: Mapping[str, FloatArray]) -> Non
     for name, values in signals.items():
         largest = np.abs(values[~np.isnan(values)]).max(initial=0.0)
         if not largest < _MOST:
-            raise RecordingError(f"{table.path}: {name} reaches {largest:g}; correct its values")
+            raise RecordingError(
+                f"{table.path}: {name} reaches {largest:g}; correct its values"
+            )
 
 
 class _FirstOrder(NamedTuple):
@@ -308,7 +350,9 @@ class _FirstOrder(NamedTuple):
     """Steady-state output without input."""
 
 
-def _estimated(resampled: Resampled, disturbances: Sequence[str]) -> tuple[float, _FirstOrder]:
+def _estimated(
+    resampled: Resampled, disturbances: Sequence[str]
+) -> tuple[float, _FirstOrder]:
     """The output's noise and the model, from the longest stretch: across a gap there are no rates."""
     longest = max(resampled.stretches, key=lambda stretch: stretch.stop - stretch.start)
     reading = resampled.columns["output"][longest]
@@ -316,18 +360,24 @@ def _estimated(resampled: Resampled, disturbances: Sequence[str]) -> tuple[float
     disturbance_columns = [resampled.columns[name][longest] for name in disturbances]
     noise = noise_of(reading, [drive, *disturbance_columns])
     free_of_spikes = without_spikes(reading, noise)
-    model = _first_order(free_of_spikes, drive, disturbance_columns, noise, resampled.period)
+    model = _first_order(
+        free_of_spikes, drive, disturbance_columns, noise, resampled.period
+    )
     if not disturbances and is_held(drive):
         model = _begun_at_rest(free_of_spikes, drive, model)
     return noise, model
 
 
-def _begun_at_rest(reading: FloatArray, drive: FloatArray, model: _FirstOrder) -> _FirstOrder:
+def _begun_at_rest(
+    reading: FloatArray, drive: FloatArray, model: _FirstOrder
+) -> _FirstOrder:
     """The model with the gain and the rest of a plant that rested at its first readings."""
     levels, counts = np.unique(drive, return_counts=True)
     final = model.rest + model.gain * float(levels[np.argmax(counts)])
     parted = begun_at_rest(reading, drive, final)
-    return model if parted is None else _rounded_model(parted.gain, model.lag, parted.rest)
+    return (
+        model if parted is None else _rounded_model(parted.gain, model.lag, parted.rest)
+    )
 
 
 def _output_range(
@@ -341,10 +391,15 @@ def _output_range(
     return round_out(low - span, high + span)
 
 
-def signal_values(table: Table, sources: Mapping[str, SignalSource], signal: str) -> FloatArray:
+def signal_values(
+    table: Table, sources: Mapping[str, SignalSource], signal: str
+) -> FloatArray:
     """The mean of the columns of a signal, in their unit, shape (N,); nan where there is no reading."""
     source = sources[signal]
-    columns = [source.scale * without_marks(table.values(title)) + source.offset for title in source.places]
+    columns = [
+        source.scale * without_marks(table.values(title)) + source.offset
+        for title in source.places
+    ]
     mean = np.asarray(np.mean(columns, axis=0), dtype=np.float64)
     return without_impossible(mean, unit_of(table, sources, signal))
 
@@ -358,11 +413,15 @@ def notes_on_readings(table: Table, sources: Mapping[str, SignalSource]) -> list
             for title in source.places:
                 values = without_marks(table.values(title))
                 scaled = source.scale * values + source.offset
-                notes += notes_on_impossible(table, signal, values, without_impossible(scaled, unit))
+                notes += notes_on_impossible(
+                    table, signal, values, without_impossible(scaled, unit)
+                )
     return notes
 
 
-def signal_name(sources: Mapping[str, SignalSource], signal: str, names_in_file: list[str]) -> str:
+def signal_name(
+    sources: Mapping[str, SignalSource], signal: str, names_in_file: list[str]
+) -> str:
     """A name after the signal's column."""
     title, _ = split_title(sources[signal].places[0])
     role = signal.partition(".")[0]
@@ -382,14 +441,28 @@ def unit_of(table: Table, sources: Mapping[str, SignalSource], signal: str) -> s
 
 def word(title: str, names_in_file: list[str]) -> str:
     """A valid Python name that does not yet occur in the file."""
-    text = unicodedata.normalize("NFKC", split_title(title)[0].strip().lower())  # as Python reads names
+    # as Python reads names
+    text = unicodedata.normalize("NFKC", split_title(title)[0].strip().lower())
     plain = "".join(c if f"_{c}".isidentifier() else " " for c in text)
     plain = re.sub(r"[\s_]+", "_", plain).strip("_") or "signal"
     plain = plain if plain.isidentifier() else f"n{plain}"
-    reserved = {*vars(Plant), *Plant.__annotations__, "gain", "lag", "rest", "inner", "seen", "sensor_lag"}
+    reserved = {
+        *vars(Plant),
+        *Plant.__annotations__,
+        "gain",
+        "lag",
+        "rest",
+        "inner",
+        "seen",
+        "sensor_lag",
+    }
     reserved |= {"acting", *(f"acting_{k}" for k in range(4)), "dead_time"}
     reserved |= {"store", "store_lag", "store_share"}
-    while keyword.iskeyword(plain) or plain in names_in_file or plain in reserved - {"output"}:
+    while (
+        keyword.iskeyword(plain)
+        or plain in names_in_file
+        or plain in reserved - {"output"}
+    ):
         plain += "_"
     names_in_file.append(plain)
     return plain
@@ -415,14 +488,21 @@ def range_of(values: FloatArray) -> tuple[float, float]:
 
 
 def _first_order(
-    reading: FloatArray, drive: FloatArray, disturbances: Sequence[FloatArray], noise: float, period: float
+    reading: FloatArray,
+    drive: FloatArray,
+    disturbances: Sequence[FloatArray],
+    noise: float,
+    period: float,
 ) -> _FirstOrder:
     """The model of the difference equation, of the shortest blocks that show it; a guess if none do."""
     for block in (2**k for k in range(12)):
         if reading.size < _BLOCKS.fewest * block:
             break
         whole = reading.size - reading.size % block
-        means = [signal[:whole].reshape(-1, block).mean(axis=1) for signal in (reading, drive, *disturbances)]
+        means = [
+            signal[:whole].reshape(-1, block).mean(axis=1)
+            for signal in (reading, drive, *disturbances)
+        ]
         model = _of_blocks(means, noise / math.sqrt(block), block * period)
         if model is not None:
             return model
@@ -431,7 +511,9 @@ def _first_order(
     return _rounded_model(span / reach, 0.1 * reading.size * period, float(reading[0]))
 
 
-def _of_blocks(means: Sequence[FloatArray], noise: float, period: float) -> _FirstOrder | None:
+def _of_blocks(
+    means: Sequence[FloatArray], noise: float, period: float
+) -> _FirstOrder | None:
     """The model of means of the output, the input and disturbances over blocks, by least squares.
 
     `noise` is that of the means, and `period` the length of a block, s. None if the output does not move
@@ -441,12 +523,16 @@ def _of_blocks(means: Sequence[FloatArray], noise: float, period: float) -> _Fir
     changes = means[0][1:] - before
     if np.std(changes) < _BLOCKS.moves * noise:
         return None
-    table = np.column_stack([np.ones(before.size), before, *(signal[:-1] for signal in means[1:])])
+    table = np.column_stack(
+        [np.ones(before.size), before, *(signal[:-1] for signal in means[1:])]
+    )
     constant, by_output, by_input, *_ = np.linalg.lstsq(table, changes, rcond=None)[0]
     back = -float(by_output)
     if not (0.0 < back < 1.0 and abs(by_input) > 0):
         return None
-    return _rounded_model(float(by_input) / back, -period / math.log1p(-back), float(constant) / back)
+    return _rounded_model(
+        float(by_input) / back, -period / math.log1p(-back), float(constant) / back
+    )
 
 
 def _rounded_model(gain: float, lag: float, rest: float) -> _FirstOrder:
@@ -455,7 +541,7 @@ def _rounded_model(gain: float, lag: float, rest: float) -> _FirstOrder:
 
 def without_spikes(values: FloatArray, noise: float) -> FloatArray:
     """Readings with the median of five neighbours where one is far from it."""
-    from scipy.ndimage import median_filter  # noqa: PLC0415 (slow to import, used only here)
+    from scipy.ndimage import median_filter  # noqa: PLC0415
 
     middle = median_filter(values, 5, mode="nearest")
     return np.where(np.abs(values - middle) > _SPIKE * noise, middle, values)

@@ -84,10 +84,15 @@ class SeveralProposal:
 
 def has_several(signal_map: SignalMap) -> bool:
     """Whether a map has numbered outputs or inputs, such as `input.2`."""
-    return any("." in name and is_signal(name, name.partition(".")[0]) for name in signal_map.sources)
+    return any(
+        "." in name and is_signal(name, name.partition(".")[0])
+        for name in signal_map.sources
+    )
 
 
-def propose_several(table: Table, signal_map: SignalMap, *, longest: float | None = None) -> SeveralProposal:
+def propose_several(
+    table: Table, signal_map: SignalMap, *, longest: float | None = None
+) -> SeveralProposal:
     """Estimate the numbers for a first plant file from a table.
 
     Args:
@@ -100,7 +105,9 @@ def propose_several(table: Table, signal_map: SignalMap, *, longest: float | Non
     """
     names = _NamesByRole.of(signal_map)
     require_columns(table, signal_map, (*names.outputs, *names.inputs))
-    sources = {name: with_titles(table, source) for name, source in signal_map.sources.items()}
+    sources = {
+        name: with_titles(table, source) for name, source in signal_map.sources.items()
+    }
     times = times_of(table, sources.get("time"), signal_map.period)
     resampled, bridge = on_one_clock(table, sources, times, signal_map.period, longest)
     names_in_file: list[str] = []
@@ -109,16 +116,31 @@ def propose_several(table: Table, signal_map: SignalMap, *, longest: float | Non
         unit = unit_of(table, sources, name)
         limits = range_of(signal_values(table, sources, name))
         inputs.append(Signal(signal_name(sources, name, names_in_file), unit, *limits))
-    disturbances = disturbance_signals(table, sources, names.disturbances, resampled, names_in_file)
-    longest_stretch = max(resampled.stretches, key=lambda stretch: stretch.stop - stretch.start)
-    columns = {name: column[longest_stretch] for name, column in resampled.columns.items()}
+    disturbances = disturbance_signals(
+        table, sources, names.disturbances, resampled, names_in_file
+    )
+    longest_stretch = max(
+        resampled.stretches, key=lambda stretch: stretch.stop - stretch.start
+    )
+    columns = {
+        name: column[longest_stretch] for name, column in resampled.columns.items()
+    }
     moving = [columns[name] for name in (*names.inputs, *names.disturbances)]
     outputs = []
     for name in names.outputs:
         unit = unit_of(table, sources, name)
         signal = Signal(signal_name(sources, name, names_in_file), unit, 0.0, 0.0)
         around = _around(unit, disturbances, columns)
-        outputs.append(_lagged(signal, columns[name], moving, inputs, period=resampled.period, around=around))
+        outputs.append(
+            _lagged(
+                signal,
+                columns[name],
+                moving,
+                inputs,
+                period=resampled.period,
+                around=around,
+            )
+        )
     fastest = min(output.lag for output in outputs)
     period = signal_map.period or usual_period(fastest, resampled.period)
     return SeveralProposal(
@@ -217,13 +239,20 @@ def _first_order(
         if output.size < _FEWEST_BLOCKS * coefficients * block:
             break
         whole = output.size - output.size % block
-        means = [signal[:whole].reshape(-1, block).mean(axis=1) for signal in (output, *inputs)]
+        means = [
+            signal[:whole].reshape(-1, block).mean(axis=1)
+            for signal in (output, *inputs)
+        ]
         before = means[0][:-1]
         changes = np.diff(means[0])
         if np.std(changes) < _MOVES * noise / math.sqrt(block):
             continue
-        table = np.column_stack([np.ones(before.size), before, *(signal[:-1] for signal in means[1:])])
-        constant, by_output, *by_input = np.linalg.lstsq(table, changes, rcond=None)[0].tolist()
+        table = np.column_stack(
+            [np.ones(before.size), before, *(signal[:-1] for signal in means[1:])]
+        )
+        constant, by_output, *by_input = np.linalg.lstsq(table, changes, rcond=None)[
+            0
+        ].tolist()
         back = -by_output
         if 0.0 < back < 1.0:
             lag = -block * period / math.log1p(-back)

@@ -17,7 +17,15 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twinmatch.dynamics import Experiment, Model, Parameters, PlantError, Response, begin, simulate_driven
+from twinmatch.dynamics import (
+    Experiment,
+    Model,
+    Parameters,
+    PlantError,
+    Response,
+    begin,
+    simulate_driven,
+)
 from twinmatch.dynamics.declarations import Parameter
 from twinmatch.dynamics.equations import written_equations
 from twinmatch.signals import FloatArray, Window
@@ -78,7 +86,9 @@ def middle_of(model: Model) -> FloatArray:
     """The outputs in the middle of the plant's operating range, shape (o,)."""
     first = model.plant.states[model.states[0]].span if model.states else (0.0, 0.0)
     ranges = [y.set_points or y.span for y in model.plant.outputs.values()]
-    return np.array([sum(ends if np.isfinite(ends).all() else first) / 2 for ends in ranges])
+    return np.array(
+        [sum(ends if np.isfinite(ends).all() else first) / 2 for ends in ranges]
+    )
 
 
 def modes(parameters: Parameters) -> NDArray[np.complex128]:
@@ -90,8 +100,11 @@ def modes(parameters: Parameters) -> NDArray[np.complex128]:
     model = parameters.model
     inputs = np.array([sum(drive.limits) / 2 for drive in model.plant.drives.values()])
     middle = np.array([sum(model.plant.states[name].span) / 2 for name in model.states])
-    for states in (begin(parameters, middle_of(model), input=inputs), middle):  # a power may begin at 0
-        slopes = model.kernels.slopes_at(parameters.vector, states, inputs, model.disturbances)[1]
+    for states in (begin(parameters, middle_of(model), input=inputs), middle):
+        # a power may begin at 0
+        slopes = model.kernels.slopes_at(
+            parameters.vector, states, inputs, model.disturbances
+        )[1]
         if np.isfinite(slopes).all():
             break
     else:
@@ -102,11 +115,13 @@ def modes(parameters: Parameters) -> NDArray[np.complex128]:
 
 def _advice(model: Model) -> str:
     """What to write instead of a power that has no value where its base is negative; empty without one."""
-    from sympy import Pow, sympify  # noqa: PLC0415 (takes half a second)
+    from sympy import Pow, sympify  # noqa: PLC0415
 
     rates = written_equations(model.plant(), model.structure.parts).rates.values()
     signals = {*model.states, *model.plant.drives}
-    powers = sorted({power for rate in rates for power in sympify(rate).atoms(Pow)}, key=str)
+    powers = sorted(
+        {power for rate in rates for power in sympify(rate).atoms(Pow)}, key=str
+    )
     for base, exponent in (power.args for power in powers if not power.exp.is_integer):
         if signals & {str(symbol) for symbol in base.free_symbols}:
             return (
@@ -132,7 +147,9 @@ def trial_for(parameters: Parameters, period: float | None = None) -> Trial:
     model = parameters.model
     lags = time_constants(parameters)
     slow = float(lags[-1]) / _COURSE.per_lag if lags.size else 1.0
-    period = affordable(parameters, float(f"{min(max(slow, 1e-6), 1e6, period or math.inf):.2g}"))
+    period = affordable(
+        parameters, float(f"{min(max(slow, 1e-6), 1e6, period or math.inf):.2g}")
+    )
     random = np.random.default_rng(_COURSE.seed)
     inputs = np.empty((SAMPLES, len(model.plant.drives)))
     for column, drive in zip(inputs.T, model.plant.drives.values(), strict=True):
@@ -141,8 +158,12 @@ def trial_for(parameters: Parameters, period: float | None = None) -> Trial:
             hold = int(random.integers(5, 60))
             column[first : first + hold] = random.uniform(*drive.limits)
             first += hold
-    moved = np.repeat(random.uniform(-1.0, 1.0, (SAMPLES // 50, model.disturbances.size)), 50, axis=0)
-    disturbances = model.disturbances + 0.1 * np.maximum(np.abs(model.disturbances), 1.0) * moved
+    moved = np.repeat(
+        random.uniform(-1.0, 1.0, (SAMPLES // 50, model.disturbances.size)), 50, axis=0
+    )
+    disturbances = (
+        model.disturbances + 0.1 * np.maximum(np.abs(model.disturbances), 1.0) * moved
+    )
     return Trial(inputs, disturbances, period, middle_of(model))
 
 
@@ -163,7 +184,11 @@ def run_trial(parameters: Parameters, trial: Trial) -> tuple[Response, Window]:
     """
     states = begin(parameters, trial.outputs, input=trial.inputs[0])
     run = simulate_driven(
-        parameters, trial.inputs, states=states, period=trial.period, disturbances=trial.disturbances
+        parameters,
+        trial.inputs,
+        states=states,
+        period=trial.period,
+        disturbances=trial.disturbances,
     )
     finite = np.isfinite(run.outputs).all(axis=1)
     if not finite.all():
@@ -173,7 +198,13 @@ def run_trial(parameters: Parameters, trial: Trial) -> tuple[Response, Window]:
         raise PlantError(msg)
     references = np.tile(trial.outputs, (len(trial.inputs), 1))
     measured = trial.disturbances
-    return run, Window(references, run.outputs, trial.inputs, period=trial.period, disturbances=measured)
+    return run, Window(
+        references,
+        run.outputs,
+        trial.inputs,
+        period=trial.period,
+        disturbances=measured,
+    )
 
 
 @dataclass(frozen=True)
@@ -211,7 +242,9 @@ def inseparable(model: Model) -> list[Finding]:
             tried.append(_combinations(point, free))
         if tried and not tried[-1]:
             break
-    return [_finding(model, combination) for combination in min(tried, key=len, default=[])]
+    return [
+        _finding(model, combination) for combination in min(tried, key=len, default=[])
+    ]
 
 
 def _points(model: Model, free: tuple[str, ...]) -> list[Parameters]:
@@ -219,7 +252,10 @@ def _points(model: Model, free: tuple[str, ...]) -> list[Parameters]:
     points = [model.parameters()]
     for _ in range(_SEARCH.points - 1):
         steps = {name: float(random.uniform(-1.0, 1.0)) for name in free}
-        moved = {name: _move(model.declared[name], model.defaults[name], steps[name]) for name in free}
+        moved = {
+            name: _move(model.declared[name], model.defaults[name], steps[name])
+            for name in free
+        }
         points.append(model.parameters(**moved))
     return points
 
@@ -253,14 +289,18 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
         if residual > _SEARCH.flat * length:
             basis.append(j)
             continue
-        taking_part = [k for k, share in enumerate(shares) if abs(share) > _SEARCH.takes_part]
+        taking_part = [
+            k for k, share in enumerate(shares) if abs(share) > _SEARCH.takes_part
+        ]
         names_in_part = (names[j], *(names[basis[k]] for k in taking_part))
         shares_in_part = (1.0, *(-float(shares[k]) for k in taking_part))
         combinations.append(_Combination(names_in_part, shares_in_part))
     return combinations
 
 
-def _weighted_tangents(parameters: Parameters, free: tuple[str, ...]) -> tuple[FloatArray, float]:
+def _weighted_tangents(
+    parameters: Parameters, free: tuple[str, ...]
+) -> tuple[FloatArray, float]:
     """Tangents of all outputs, one below the other in units of the first one's noise, and that noise.
 
     Raises:
@@ -268,12 +308,16 @@ def _weighted_tangents(parameters: Parameters, free: tuple[str, ...]) -> tuple[F
     """
     model = parameters.model
     _, window = run_trial(parameters, trial_for(parameters))
-    experiment = Experiment(parameters, free, window, free_starts=model.structure.free_starts, law=None)
+    experiment = Experiment(
+        parameters, free, window, free_starts=model.structure.free_starts, law=None
+    )
     noise = np.array([y.noise for y in model.plant.outputs.values()])
     by_output = experiment.tangents(experiment.values_of(parameters)).by[: noise.size]
     tangents = np.concatenate(by_output * (noise[0] / noise)[:, None, None])
     if not np.isfinite(tangents).all():
-        raise PlantError(f"{model.title}: the sensitivities of its output are not finite")
+        raise PlantError(
+            f"{model.title}: the sensitivities of its output are not finite"
+        )
     return tangents, noise[0]
 
 
@@ -305,15 +349,23 @@ def _finding(model: Model, combination: _Combination) -> Finding:
     names, shares = combination
     if len(names) == 1:
         problem = f"{place}: the output does not depend on {names[0]}, which is free"
-        return Finding(problem, f"remove {names[0]} from `free`, or check the equations")
+        return Finding(
+            problem, f"remove {names[0]} from `free`, or check the equations"
+        )
     relative = all(model.declared[n].relative for n in names if n in model.declared)
     is_ratio = all(abs(abs(s) - 1.0) < 0.02 for s in shares) and relative
     listed = f"{', '.join(names[:-1])} and {names[-1]}"
     if is_ratio and len(names) == 2:
-        quantity = f"{names[0]}/{names[1]}" if shares[0] * shares[1] > 0 else f"{names[0]}·{names[1]}"
+        quantity = (
+            f"{names[0]}/{names[1]}"
+            if shares[0] * shares[1] > 0
+            else f"{names[0]}·{names[1]}"
+        )
         problem = f"{place}: no data can determine {listed} separately, only {quantity}"
     elif is_ratio and all(s > 0 for s in shares):
-        problem = f"{place}: no data can determine {listed} separately, only their ratios"
+        problem = (
+            f"{place}: no data can determine {listed} separately, only their ratios"
+        )
     else:
         problem = f"{place}: {listed} can change together without effect on the output"
     todo = (

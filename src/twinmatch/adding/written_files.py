@@ -32,7 +32,16 @@ _DEAD_ORDER_SWITCHED: Final = 4
 """States of the dead time where an input switches: two round its corners off, and the loop that switches on
 what it sees then has another gain and another lag in their place."""
 _LONGEST: Final = 60
-_TAKEN: Final = ("Disturbance", "Drive", "Equations", "Output", "Parameter", "Plant", "State", "Structure")
+_TAKEN: Final = (
+    "Disturbance",
+    "Drive",
+    "Equations",
+    "Output",
+    "Parameter",
+    "Plant",
+    "State",
+    "Structure",
+)
 """Classes that the file of a plant imports."""
 _ABSOLUTE: Final = {"°C": 273.15}
 
@@ -42,7 +51,9 @@ def files_of(name: str, proposal: Proposal | SeveralProposal) -> dict[str, str]:
     _require_name(name)
     # The output is Python and YAML, which need no HTML escaping.
     pages = Environment(  # noqa: S701
-        loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined, keep_trailing_newline=True
+        loader=FileSystemLoader(Path(__file__).parent),
+        undefined=StrictUndefined,
+        keep_trailing_newline=True,
     )
     pages.filters["text"] = _quote
     table = re.sub(r"[^\w .()+-]", "_", proposal.table)  # stands in comments
@@ -50,7 +61,9 @@ def files_of(name: str, proposal: Proposal | SeveralProposal) -> dict[str, str]:
     if isinstance(proposal, SeveralProposal):
         words |= _several(name, proposal)
         plant_text = pages.get_template("plants.jinja").render(words)
-        test_text = pages.get_template("tests.jinja").render(words | _test_of_several(proposal))
+        test_text = pages.get_template("tests.jinja").render(
+            words | _test_of_several(proposal)
+        )
     else:
         words |= _plant(name, proposal)
         plant_text = pages.get_template("plant.jinja").render(words)
@@ -58,10 +71,15 @@ def files_of(name: str, proposal: Proposal | SeveralProposal) -> dict[str, str]:
     files = {
         f"{name}.py": plant_text,
         f"test_{name}.py": test_text,
-        f"{name}.yaml": pages.get_template("config.jinja").render(name=name, period=proposal.period),
+        f"{name}.yaml": pages.get_template("config.jinja").render(
+            name=name, period=proposal.period
+        ),
     }
     if proposal.sources:
-        sources = [(_key(signal), _source(source)) for signal, source in proposal.sources.items()]
+        sources = [
+            (_key(signal), _source(source))
+            for signal, source in proposal.sources.items()
+        ]
         files[f"{name}_map.yaml"] = pages.get_template("map.jinja").render(
             words, period=proposal.period, sources=sources
         )
@@ -70,12 +88,20 @@ def files_of(name: str, proposal: Proposal | SeveralProposal) -> dict[str, str]:
 
 def _require_name(name: str) -> None:
     problem = ""
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or len(name) > _LONGEST or keyword.iskeyword(name):
+    if (
+        not re.fullmatch(r"[a-z][a-z0-9_]*", name)
+        or len(name) > _LONGEST
+        or keyword.iskeyword(name)
+    ):
         problem = "not a valid name"
     elif name in {*PLANTS, *installed_names()}:
         problem = "there is a plant of this name"
-    elif (spec := importlib.util.find_spec(name)) and Path(spec.origin or "").parent != Path.cwd():
-        problem = "there is a Python module of this name, which the plant's file would hide"
+    elif (spec := importlib.util.find_spec(name)) and Path(
+        spec.origin or ""
+    ).parent != Path.cwd():
+        problem = (
+            "there is a Python module of this name, which the plant's file would hide"
+        )
     if problem:
         todo = f"use up to {_LONGEST} small letters, digits and _, starting with a letter, such as my_tank"
         raise AddingError(f"new-plant {name[:80]!r}: {problem}; {todo}")
@@ -87,7 +113,10 @@ def _plant(name: str, proposal: Proposal) -> dict[str, Any]:
     around = proposal.around
     free = ["gain", "lag", "load" if around else "rest"]
     low, high = sorted((proposal.gain / _WIDE, proposal.gain * _WIDE))
-    middles = [d._asdict() | {"middle": rounded((d.low + d.high) / 2, 4)} for d in proposal.disturbances]
+    middles = [
+        d._asdict() | {"middle": rounded((d.low + d.high) / 2, 4)}
+        for d in proposal.disturbances
+    ]
     return {
         "y": y,
         "u": u,
@@ -98,7 +127,9 @@ def _plant(name: str, proposal: Proposal) -> dict[str, Any]:
         "bend": rounded(_BENT / (y.high - y.low)),
         "bend_least": rounded(-_BENT_LEAST / (y.high - y.low)),
         "bend_most": rounded(1.0 / (y.high - y.low)),
-        "bend_unit": _per("1", "K" if y.unit in {"°C", "°F"} else y.unit) if y.unit else "1",
+        "bend_unit": _per("1", "K" if y.unit in {"°C", "°F"} else y.unit)
+        if y.unit
+        else "1",
         "rest": proposal.rest,
         "title": _title(name),
         "absolute": _ABSOLUTE.get(y.unit),
@@ -131,12 +162,24 @@ def _several(name: str, proposal: SeveralProposal) -> dict[str, Any]:
     inputs = []
     for u in proposal.inputs:
         at_rest = min(max(0.0, u.low), u.high)
-        inputs.append(u._asdict() | {"noise": rounded((u.high - u.low) / 100), "rest": at_rest})
-    outputs = [_output(number, output, proposal) for number, output in enumerate(proposal.outputs, 1)]
+        inputs.append(
+            u._asdict() | {"noise": rounded((u.high - u.low) / 100), "rest": at_rest}
+        )
+    outputs = [
+        _output(number, output, proposal)
+        for number, output in enumerate(proposal.outputs, 1)
+    ]
     free = []
     for number, output in enumerate(outputs, 1):
-        free += [f"lag_{number}", f"rest_{number}", *(gain["name"] for gain in output["gains"])]
-    middles = [d._asdict() | {"middle": rounded((d.low + d.high) / 2, 4)} for d in proposal.disturbances]
+        free += [
+            f"lag_{number}",
+            f"rest_{number}",
+            *(gain["name"] for gain in output["gains"]),
+        ]
+    middles = [
+        d._asdict() | {"middle": rounded((d.low + d.high) / 2, 4)}
+        for d in proposal.disturbances
+    ]
     return {
         "title": _title(name),
         "outputs": outputs,
@@ -146,12 +189,16 @@ def _several(name: str, proposal: SeveralProposal) -> dict[str, Any]:
     }
 
 
-def _output(number: int, output: LaggedOutput, proposal: SeveralProposal) -> dict[str, Any]:
+def _output(
+    number: int, output: LaggedOutput, proposal: SeveralProposal
+) -> dict[str, Any]:
     """What the file says of one output and its lag."""
     y = output.signal
     reach = y.high - y.low
     gains = []
-    for input_number, (gain, u) in enumerate(zip(output.gains, proposal.inputs, strict=True), 1):
+    for input_number, (gain, u) in enumerate(
+        zip(output.gains, proposal.inputs, strict=True), 1
+    ):
         most = rounded(reach / (u.high - u.low))
         gains.append({
             "name": f"gain_{number}_{input_number}",
@@ -183,7 +230,11 @@ def _test_of_several(proposal: SeveralProposal) -> dict[str, Any]:
     measured = [rounded((d.low + d.high) / 2, 4) for d in proposal.disturbances]
     begin = []
     for output in proposal.outputs:
-        level = measured[proposal.disturbances.index(output.around)] if output.around else 0.0
+        level = (
+            measured[proposal.disturbances.index(output.around)]
+            if output.around
+            else 0.0
+        )
         begin.append(rounded(level + output.rest, 4))
     return {
         "period": rounded(min(output.lag for output in proposal.outputs) / 15),
@@ -199,9 +250,13 @@ def _test(proposal: Proposal) -> dict[str, Any]:
     measured = [rounded((d.low + d.high) / 2, 4) for d in proposal.disturbances]
     return {
         "period": rounded(proposal.lag / 15),
-        "levels": [rounded(low + part * (high - low), 4) for part in (0.0, 0.6, 0.2, 0.8, 0.4)],
+        "levels": [
+            rounded(low + part * (high - low), 4) for part in (0.0, 0.6, 0.2, 0.8, 0.4)
+        ],
         "measured": measured,
-        "begin": measured[proposal.disturbances.index(around)] if around else proposal.rest,
+        "begin": measured[proposal.disturbances.index(around)]
+        if around
+        else proposal.rest,
     }
 
 
@@ -227,7 +282,11 @@ def _source(source: SignalSource) -> str:
         "missing": (list(source.missing), []),
         "words": (dict(source.words), {}),
     }
-    entry |= {name: value for name, (value, usual) in optional_entries.items() if value != usual}
+    entry |= {
+        name: value
+        for name, (value, usual) in optional_entries.items()
+        if value != usual
+    }
     return _quote(entry if len(entry) > 1 else columns)
 
 

@@ -80,7 +80,9 @@ class _Parser(argparse.ArgumentParser):
         """Parse, with the options of the command's module."""
         if self.command:
             # `import` is a keyword, so its module has a trailing underscore.
-            name = {"import": "import_"}.get(self.command, self.command.replace("-", "_"))
+            name = {"import": "import_"}.get(
+                self.command, self.command.replace("-", "_")
+            )
             module = import_module(f"twinmatch.cli.{name}")
             self.command = ""
             module.add_arguments(self)
@@ -104,7 +106,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         if name in _LAUNCHING and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
             signal.signal(signal.SIGTERM, signal.default_int_handler)
         if getattr(options, "allow_fmu", None) is not None:
-            from twinmatch.fmu import adopt_fmus  # noqa: PLC0415 — few commands need it
+            from twinmatch.fmu import adopt_fmus  # noqa: PLC0415
 
             adopt_fmus(options.allow_fmu)
         with started(options):
@@ -121,32 +123,44 @@ def _run(arguments: Sequence[str] | None) -> int:
         print("twinmatch: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        sys.stderr.close()  # the reader has closed the pipe; Python would report the failed flush at exit
+        # the reader has closed the pipe; Python would report the failed flush at exit
+        sys.stderr.close()
         return 0
     except OSError as error:
         if error.filename is None:
             raise
         # A path from any option: the file system rejects the name, or a folder may not be entered.
-        print(f"twinmatch: {error.filename}: cannot be used ({error.strerror})", file=sys.stderr)
+        print(
+            f"twinmatch: {error.filename}: cannot be used ({error.strerror})",
+            file=sys.stderr,
+        )
         return EXIT_USER_ERROR
 
 
-def _without(error: ModuleNotFoundError, command: Callable[[argparse.Namespace], int]) -> int:
+def _without(
+    error: ModuleNotFoundError, command: Callable[[argparse.Namespace], int]
+) -> int:
     """Say which optional package a command lacks; returns the exit code. Any other import is a defect."""
     package = (error.name or "").partition(".")[0]
     if package not in _EXTRAS:
         raise error
     name = command.__module__.rpartition(".")[2]
     install = f"pip install 'twinmatch[{_EXTRAS[package]}]'"
-    print(f"twinmatch: {name} needs {package}, which is not installed; {install}", file=sys.stderr)
+    print(
+        f"twinmatch: {name} needs {package}, which is not installed; {install}",
+        file=sys.stderr,
+    )
     return EXIT_USER_ERROR
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
-        prog="twinmatch", description="Which digital twin to trust, and how far, while the plant runs."
+        prog="twinmatch",
+        description="Which digital twin to trust, and how far, while the plant runs.",
     )
-    parser.add_argument("--version", action="version", version=f"twinmatch {__version__}")
+    parser.add_argument(
+        "--version", action="version", version=f"twinmatch {__version__}"
+    )
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, words in _COMMANDS.items():
         commands.add_parser(name, help=words).command = name

@@ -18,10 +18,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     law = "a document of kind pid (.json), as for try-controller; leave it out with --back"
     parser.add_argument("law", type=Path, nargs="?", metavar="LAW", help=law)
     shadow = "compute it beside the law that runs for so many seconds before it drives"
-    parser.add_argument("--shadow", type=positive(float, "a number of seconds"), metavar="S", help=shadow)
-    parser.add_argument("--although", action="store_true", help="run it although it is not found safe")
-    parser.add_argument("--yes", action="store_true", help="do not ask again before it is run")
-    parser.add_argument("--back", action="store_true", help="give the law before back, at once")
+    parser.add_argument(
+        "--shadow",
+        type=positive(float, "a number of seconds"),
+        metavar="S",
+        help=shadow,
+    )
+    parser.add_argument(
+        "--although", action="store_true", help="run it although it is not found safe"
+    )
+    parser.add_argument(
+        "--yes", action="store_true", help="do not ask again before it is run"
+    )
+    parser.add_argument(
+        "--back", action="store_true", help="give the law before back, at once"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -43,6 +54,8 @@ def run(options: argparse.Namespace) -> int:
         }
     )
     from twinmatch.nodes.runner import run as run_nodes  # noqa: PLC0415
-    from twinmatch.showing.asking import LawAsking, LawBack  # noqa: PLC0415 — needs ROS
+    from twinmatch.showing.asking import LawAsking, LawBack  # noqa: PLC0415
 
-    return run_nodes([LawBack if options.back else LawAsking], node_words("apply", asked))
+    return run_nodes(
+        [LawBack if options.back else LawAsking], node_words("apply", asked)
+    )

@@ -9,9 +9,20 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from twinmatch.cli.shared import add_goal_options, add_options, column_map, goal_of, session_to_record
+from twinmatch.cli.shared import (
+    add_goal_options,
+    add_options,
+    column_map,
+    goal_of,
+    session_to_record,
+)
 from twinmatch.cli.starting import remember_recorded
-from twinmatch.launching.processes import EXIT_NOT_RECORDED, add_page_options, check_page_options, page_of
+from twinmatch.launching.processes import (
+    EXIT_NOT_RECORDED,
+    add_page_options,
+    check_page_options,
+    page_of,
+)
 from twinmatch.links.preview import previewed
 from twinmatch.links.sources import protocol_of
 from twinmatch.nodes import require_ros
@@ -50,11 +61,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="show what the source has (a part: room, holding/0-50), and what --map gives, and end",
     )
     parser.add_argument(
-        "--alone", action="store_true", help="in one process without ROS; so it is where ROS is not installed"
+        "--alone",
+        action="store_true",
+        help="in one process without ROS; so it is where ROS is not installed",
     )
     add_options(parser, "--map-file")
     add_options(parser, "--period", help="sampling period of the rig's loop")
-    add_options(parser, "--twin-config", "--candidates", "--memory", "--rig", "--session", "--no-record")
+    add_options(
+        parser,
+        "--twin-config",
+        "--candidates",
+        "--memory",
+        "--rig",
+        "--session",
+        "--no-record",
+    )
     add_page_options(parser)
     add_goal_options(parser)
 
@@ -63,7 +84,9 @@ def run(options: argparse.Namespace) -> int:
     """Run until Ctrl-C; returns the exit code: 3 if a process could not be kept running."""
     if options.listed is not None:
         if not options.source:
-            options.parser.error("--list shows a source: give --source URL; ros2 topic list shows topics")
+            options.parser.error(
+                "--list shows a source: give --source URL; ros2 topic list shows topics"
+            )
         lines = protocol_of(options.source).listing(options.source, options.listed)
         print("\n".join(lines) or "nothing there")
         if options.map or options.map_file:
@@ -72,24 +95,34 @@ def run(options: argparse.Namespace) -> int:
     if not (options.source or options.config or options.alone):
         require_ros("attach", _INSTEAD)
     if not (options.config or options.map or options.map_file):
-        options.parser.error("map topics to signals with --config FILE, --map-file FILE or --map …")
-    given_map = column_map(options).joined(SignalMap(plant=options.plant, period=options.period))
+        options.parser.error(
+            "map topics to signals with --config FILE, --map-file FILE or --map …"
+        )
+    given_map = column_map(options).joined(
+        SignalMap(plant=options.plant, period=options.period)
+    )
     session = session_to_record(options)
     values, _ = sampler_values(options.config, given_map, options.source)
-    if options.alone or (values["source"] and not all(map(find_spec, ("rclpy", "twinmatch_msgs")))):
+    if options.alone or (
+        values["source"] and not all(map(find_spec, ("rclpy", "twinmatch_msgs")))
+    ):
         sessions = [session] if session else []
         code = _run_alone(options, values, session)
     else:
         if options.reach is not None:
-            options.parser.error("--reach needs --alone; beside a graph: twinmatch dashboard --reach LEVEL")
+            options.parser.error(
+                "--reach needs --alone; beside a graph: twinmatch dashboard --reach LEVEL"
+            )
         sessions, code = _run_graph(options, given_map, session)
     if code == 0:
         remember_recorded(options, sessions)
     return code
 
 
-def _run_alone(options: argparse.Namespace, values: Values, session: Path | None) -> int:
-    from twinmatch.launching.alone import AlonePlan, run_alone  # noqa: PLC0415 — the graph needs none of it
+def _run_alone(
+    options: argparse.Namespace, values: Values, session: Path | None
+) -> int:
+    from twinmatch.launching.alone import AlonePlan, run_alone  # noqa: PLC0415
 
     check_page_options(options, options.parser)
     settings = twin_beside(values, options.twin_config)
@@ -103,7 +136,16 @@ def _run_alone(options: argparse.Namespace, values: Values, session: Path | None
     limits = given_to(usual, accepted)
     try:
         goal = None if options.reach is None else goal_of(options)
-        plan = AlonePlan(values, settings, candidates, session, limits, options.dashboard, options.tell, goal)
+        plan = AlonePlan(
+            values,
+            settings,
+            candidates,
+            session,
+            limits,
+            options.dashboard,
+            options.tell,
+            goal,
+        )
         run_alone(plan)
     except DiskError as error:
         print(f"twinmatch: {error}", file=sys.stderr)
@@ -115,12 +157,17 @@ def _run_graph(
     options: argparse.Namespace, given_map: SignalMap, session: Path | None
 ) -> tuple[list[Path], int]:
     require_ros("attach", _INSTEAD)
-    from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
+    from twinmatch.launching.live import Live, run_live  # noqa: PLC0415
     from twinmatch.launching.plan import attach_plan  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="twinmatch-attach-") as folder:
-        asked = {name: getattr(options, name) for name in ("config", "twin_config", "candidates")}
-        plan = attach_plan(Path(folder), given_map, session=session, source=options.source, **asked)
+        asked = {
+            name: getattr(options, name)
+            for name in ("config", "twin_config", "candidates")
+        }
+        plan = attach_plan(
+            Path(folder), given_map, session=session, source=options.source, **asked
+        )
         live = Live(plan)
         with page_of(options, options.parser, plan.twin_config):
             return live.sessions, run_live(live)

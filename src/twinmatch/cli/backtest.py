@@ -35,9 +35,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     interval = "seconds between forecasts, in addition to those at every verdict (default: 60 for the rig)"
     parser.add_argument("--every", type=seconds, metavar="S", help=interval)
     horizons = "forecast horizons, in seconds (default: those that the twin scores: 10 60 300 for the rig)"
-    parser.add_argument("--horizon", type=seconds, nargs="+", metavar="S", help=horizons)
+    parser.add_argument(
+        "--horizon", type=seconds, nargs="+", metavar="S", help=horizons
+    )
     add_options(parser, "--peers")
-    add_options(parser, "--json", help="write the scores, and those of every forecast, to this file")
+    add_options(
+        parser,
+        "--json",
+        help="write the scores, and those of every forecast, to this file",
+    )
     add_options(parser, "--figure", help="draw the scores (.png, .svg or .pdf)")
     add_options(parser, *TERMS)
 
@@ -78,7 +84,7 @@ def _document(tests: Sequence[Backtest], totals: Sequence[Backtest]) -> dict[str
 
 def _draw(totals: Sequence[Backtest], figure: Path) -> None:
     """Draw the scores of every output, each into a file of its own beside `figure`."""
-    from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
+    from twinmatch.showing.figures.drawing import save  # noqa: PLC0415
     from twinmatch.showing.figures.forecasts import draw_backtest  # noqa: PLC0415
 
     for number, total in enumerate(totals):
@@ -93,7 +99,11 @@ def _totals(tests: Sequence[Backtest]) -> list[Backtest]:
         tests_by_output.setdefault(test.plant.output, []).append(test)
     totals = []
     for tests_of_output in tests_by_output.values():
-        totals.append(tests_of_output[0] if len(tests_of_output) == 1 else over_all(tests_of_output))
+        totals.append(
+            tests_of_output[0]
+            if len(tests_of_output) == 1
+            else over_all(tests_of_output)
+        )
     return totals
 
 
@@ -101,7 +111,9 @@ def _tested(path: Path, options: argparse.Namespace) -> tuple[Backtest, ...]:
     horizons = None if options.horizon is None else tuple(options.horizon)
     choices = Choices(options.every, horizons, tuple(options.peers))
     with Progress() as progress:
-        tests = backtest_outputs(path, choices, second=True, **judging(options, progress))
+        tests = backtest_outputs(
+            path, choices, second=True, **judging(options, progress)
+        )
     for tested in tests:
         _print(tested)
     summary = tests[0].summary

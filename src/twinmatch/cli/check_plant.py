@@ -19,7 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "--period", help="sampling period it will be run with")
     data = "also check a recording of it against the gate"
     parser.add_argument("--data", type=Path, metavar="SESSION|CSV", help=data)
-    add_options(parser, "--map", help="time=elapsed output=t2 'input=duty; scale=100': columns of the .csv")
+    add_options(
+        parser,
+        "--map",
+        help="time=elapsed output=t2 'input=duty; scale=100': columns of the .csv",
+    )
     add_options(parser, "--map-file", "--bridge", "--gaps")
 
 
@@ -29,10 +33,19 @@ def run(options: argparse.Namespace) -> int:
     with Progress("reading") as progress:
         limits = {"longest": options.bridge, "gaps": options.gaps}
         samples = options.data and data_for(
-            options.data, plant, column_map(options), options.period, progress.advance, **limits
+            options.data,
+            plant,
+            column_map(options),
+            options.period,
+            progress.advance,
+            **limits,
         )
     with Progress("checking") as progress:
-        checked = check_plant(plant, options.period or (samples.period if samples else None), progress.show)
+        checked = check_plant(
+            plant,
+            options.period or (samples.period if samples else None),
+            progress.show,
+        )
     _print(checked)
     if samples is None or checked.unusable:
         return checked.exit_code

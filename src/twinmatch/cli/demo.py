@@ -19,11 +19,22 @@ LONGEST = 60.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(parser, "session", nargs="?", help="session or recording to play instead")
+    add_options(
+        parser, "session", nargs="?", help="session or recording to play instead"
+    )
     fastest = "highest speed of the virtual rig, times real time (default: as fast as the machine allows)"
     add_options(parser, "--speed", default=math.inf, help=fastest)
-    add_options(parser, "--config", help="parameters of the virtual rig's nodes (default: config/demo.yaml)")
-    add_options(parser, "--memory", default=MEMORY, help=f"what earlier ones have taught (default: {MEMORY})")
+    add_options(
+        parser,
+        "--config",
+        help="parameters of the virtual rig's nodes (default: config/demo.yaml)",
+    )
+    add_options(
+        parser,
+        "--memory",
+        default=MEMORY,
+        help=f"what earlier ones have taught (default: {MEMORY})",
+    )
     add_page_options(parser)
 
 
@@ -43,9 +54,9 @@ def run(options: argparse.Namespace) -> int:
 
 def _live(options: argparse.Namespace) -> int:
     """Run the virtual rig through its set-points; returns the exit code."""
-    from twinmatch.launching.live import Live, run_live  # noqa: PLC0415 — needs ROS
+    from twinmatch.launching.live import Live, run_live  # noqa: PLC0415
     from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
-    from twinmatch.offline.judging import rehearse  # noqa: PLC0415 — slow to import
+    from twinmatch.offline.judging import rehearse  # noqa: PLC0415
     from twinmatch.plants import Peltier  # noqa: PLC0415
     from twinmatch.twin import TwinSettings  # noqa: PLC0415
 
@@ -77,7 +88,9 @@ def _look_back(session: Path) -> int:
     report = session.with_suffix(".html")
     judgement = judged.judgement
     settled = judgement.stretches
-    draw_verdict(judgement.samples, judgement.verdicts, judgement.settings, settled, picture)
+    draw_verdict(
+        judgement.samples, judgement.verdicts, judgement.settings, settled, picture
+    )
     build_report(judged, session, command="twinmatch demo").write(report)
     print(f"picture: {_shorter(picture)}")
     print(f"report: {_shorter(report)}")
@@ -87,7 +100,7 @@ def _look_back(session: Path) -> int:
 def _play_session(session: Path) -> int:
     """Play a session within `LONGEST`, then write the report; returns the exit code."""
     from twinmatch.cli.shared import open_shown  # noqa: PLC0415
-    from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
+    from twinmatch.launching.replay import Replay, play  # noqa: PLC0415
     from twinmatch.showing.report.report import make_report  # noqa: PLC0415
 
     played = open_shown(session)

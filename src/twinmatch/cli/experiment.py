@@ -42,7 +42,12 @@ from twinmatch.offline.controllers import (
     read_law,
     usual_profile,
 )
-from twinmatch.offline.first_steps import ProposedPid, course_from_file, first_steps, pid_or_reason
+from twinmatch.offline.first_steps import (
+    ProposedPid,
+    course_from_file,
+    first_steps,
+    pid_or_reason,
+)
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.plants import find_plant
 from twinmatch.sessions import Session
@@ -67,20 +72,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "the recorded session, or a table (.csv) with --plant; leave it out with --live, or if nothing is "
         "recorded yet: then --plant alone gives the first course"
     )
-    parser.add_argument("session", type=Path, nargs="?", metavar="SESSION", help=session)
-    live = "ask the twin that runs beside the plant, which proposes a course from now on"
+    parser.add_argument(
+        "session", type=Path, nargs="?", metavar="SESSION", help=session
+    )
+    live = (
+        "ask the twin that runs beside the plant, which proposes a course from now on"
+    )
     parser.add_argument("--live", action="store_true", help=live)
     go = "with --live: the controller follows it, replanned at every verdict, until it is decided or Ctrl-C"
     parser.add_argument("--go", action="store_true", help=go)
     resume = "let the controller's profile continue, which waits since an experiment on the running plant"
     parser.add_argument("--resume", action="store_true", help=resume)
     minutes = "longest course (default: 10 on a plant with a time constant of 100 s, on others in proportion)"
-    parser.add_argument("--minutes", type=positive(float, "a number of minutes"), metavar="MIN", help=minutes)
-    within = "range that every output keeps, bands included (default: the plant file's safe range)"
-    parser.add_argument("--within", type=float, nargs=2, metavar=("LOW", "HIGH"), help=within)
-    goal = (
-        "what is to be known (default: the structure, or the parameters where all twins have one structure)"
+    parser.add_argument(
+        "--minutes",
+        type=positive(float, "a number of minutes"),
+        metavar="MIN",
+        help=minutes,
     )
+    within = "range that every output keeps, bands included (default: the plant file's safe range)"
+    parser.add_argument(
+        "--within", type=float, nargs=2, metavar=("LOW", "HIGH"), help=within
+    )
+    goal = "what is to be known (default: the structure, or the parameters where all twins have one structure)"
     parser.add_argument("--for", dest="goal", choices=tuple(GOALS), help=goal)
     law = "with --for controller: the law in question, as try-controller takes it"
     parser.add_argument("--loop", type=Path, metavar="FILE", help=law)
@@ -88,9 +102,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pid", type=Path, metavar="FILE", help=pid)
     add_options(parser, "--map", help="columns of a table, as for twinmatch import")
     add_options(parser, "--map-file")
-    add_options(parser, "--period", help="sampling period, if the table has no times or finer ones")
-    add_options(parser, "--json", help="write the course, and what it brings, to this file")
-    add_options(parser, "--figure", help="draw the course with the bands of all twins (.png, .svg or .pdf)")
+    add_options(
+        parser,
+        "--period",
+        help="sampling period, if the table has no times or finer ones",
+    )
+    add_options(
+        parser, "--json", help="write the course, and what it brings, to this file"
+    )
+    add_options(
+        parser,
+        "--figure",
+        help="draw the course with the bands of all twins (.png, .svg or .pdf)",
+    )
     add_options(parser, *TERMS)
 
 
@@ -108,7 +132,9 @@ def run(options: argparse.Namespace) -> int:
     if options.session is None:
         return _from_plant_file(options)
     if (options.goal == "controller") != (options.loop is not None):
-        raise ControllerError("experiment: --for controller and --loop FILE belong together")
+        raise ControllerError(
+            "experiment: --for controller and --loop FILE belong together"
+        )
     with held_interrupts():
         ground = ground_of(_opened(options), options.config, options.candidates)
         for part in ground.left_out:
@@ -131,11 +157,16 @@ def run(options: argparse.Namespace) -> int:
         options.json,
         lambda: (
             experiment_document(experiment)
-            | {"notes": [*ground.session.missing, *(part.sentence for part in ground.left_out)]}
+            | {
+                "notes": [
+                    *ground.session.missing,
+                    *(part.sentence for part in ground.left_out),
+                ]
+            }
         ),
     )
     if options.figure is not None:
-        from twinmatch.showing.figures.controllers import draw_experiment  # noqa: PLC0415 — matplotlib is slow
+        from twinmatch.showing.figures.controllers import draw_experiment  # noqa: PLC0415
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415
 
         save(draw_experiment(experiment), options.figure)
@@ -149,7 +180,9 @@ def _opened(options: argparse.Namespace) -> Session:
         return open_shown(path, options.plant)
     plant = find_plant(options.plant)
     with Progress("reading") as progress:
-        return data_for(path, plant, column_map(options), options.period, progress.advance)
+        return data_for(
+            path, plant, column_map(options), options.period, progress.advance
+        )
 
 
 def _from_plant_file(options: argparse.Namespace) -> int:
@@ -159,7 +192,9 @@ def _from_plant_file(options: argparse.Namespace) -> int:
             "give a SESSION, --plant FILE if nothing is recorded yet, or --live to ask the twin that runs"
         )
     plant = find_plant(options.plant)
-    course, period = course_from_file(plant, positive_period(options, "experiment"), options.within)
+    course, period = course_from_file(
+        plant, positive_period(options, "experiment"), options.within
+    )
     print(
         f"{plant.title}: nothing is recorded yet; by the plant file alone, at one sample every {period:g} s:"
     )
@@ -181,7 +216,9 @@ def _before_trust(ground: Ground, reason: str, options: argparse.Namespace) -> i
     return 0
 
 
-def _first_pid(ground: Ground, twins: tuple[TriedTwin, ...], options: argparse.Namespace) -> int:
+def _first_pid(
+    ground: Ground, twins: tuple[TriedTwin, ...], options: argparse.Namespace
+) -> int:
     """A first PID from twins that are trusted; returns the exit code."""
     proposed, why_not = pid_or_reason(ground, twins)
     print(f"{ground.session.name}: its twin is trusted")
@@ -190,7 +227,9 @@ def _first_pid(ground: Ground, twins: tuple[TriedTwin, ...], options: argparse.N
     if proposed is None:
         return 3
     _write_pid(proposed, options)
-    write_json(options.json, lambda: {"trusted": True, "pid": pid_document(proposed.pid.gains)})
+    write_json(
+        options.json, lambda: {"trusted": True, "pid": pid_document(proposed.pid.gains)}
+    )
     return 0
 
 
@@ -199,15 +238,23 @@ def _write_pid(proposed: ProposedPid, options: argparse.Namespace) -> None:
     write_json(options.pid, lambda: pid_document(proposed.pid.gains))
     low, _, high = proposed.answer.courses.outputs
     output = proposed.answer.plant.output
-    name = options.pid.name if options.pid is not None else "FILE (written with --pid FILE)"
-    print(f"  on a rig of this package: twinmatch apply {name}, which gives the law before back by itself")
+    name = (
+        options.pid.name
+        if options.pid is not None
+        else "FILE (written with --pid FILE)"
+    )
+    print(
+        f"  on a rig of this package: twinmatch apply {name}, which gives the law before back by itself"
+    )
     print(
         "  on another controller: note its gains first, and go back to them if a step by a tenth of the "
         f"range takes {output.name} below {low.min():.4g} or above {high.max():.4g} {output.unit}".rstrip()
     )
 
 
-def _tried(path: Path, ground: Ground, twins: tuple[TriedTwin, ...]) -> ControllerAnswer:
+def _tried(
+    path: Path, ground: Ground, twins: tuple[TriedTwin, ...]
+) -> ControllerAnswer:
     law = read_law(path, ground.plant, ground.session.period)
     references = usual_profile(ground.plant, ground.level, ground.holding.samples)
     with Progress("trying") as progress:
@@ -219,7 +266,7 @@ def _resume(options: argparse.Namespace) -> int:
     if options.live or options.go or options.session is not None:
         options.parser.error("give --resume alone")
     from twinmatch.nodes.runner import run as run_nodes  # noqa: PLC0415
-    from twinmatch.showing.asking import ProfileAsking  # noqa: PLC0415 — needs ROS
+    from twinmatch.showing.asking import ProfileAsking  # noqa: PLC0415
 
     return run_nodes([ProfileAsking], node_words("experiment", {}))
 
@@ -239,9 +286,14 @@ def _ask(options: argparse.Namespace) -> int:
             "--live takes --go, --minutes, --within and --for structure, parameters or fault"
         )
     within = "" if options.within is None else " ".join(map(str, options.within))
-    asked = {"goal": options.goal, "minutes": options.minutes, "within": within or None, "run": options.go}
+    asked = {
+        "goal": options.goal,
+        "minutes": options.minutes,
+        "within": within or None,
+        "run": options.go,
+    }
     require_ros("experiment", "without --live it works on a recorded SESSION")
     from twinmatch.nodes.runner import run as run_nodes  # noqa: PLC0415
-    from twinmatch.showing.asking import ExperimentAsking  # noqa: PLC0415 — needs ROS
+    from twinmatch.showing.asking import ExperimentAsking  # noqa: PLC0415
 
     return run_nodes([ExperimentAsking], node_words("experiment", asked))

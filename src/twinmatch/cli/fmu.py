@@ -18,7 +18,9 @@ _SHOWN_EVERY: Final = 0.5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, metavar="FMU", help="the FMU; its binary is not run")
+    parser.add_argument(
+        "file", type=Path, metavar="FMU", help="the FMU; its binary is not run"
+    )
     plant = "the plant it will be a structure of (default: peltier)"
     parser.add_argument("--plant", default="peltier", help=plant)
 

@@ -8,7 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable, open_shown, write_json
+from twinmatch.cli.shared import (
+    TERMS,
+    Progress,
+    add_options,
+    check_writable,
+    open_shown,
+    write_json,
+)
 from twinmatch.dynamics import Plant, channels
 from twinmatch.dynamics.pace import time_scale
 from twinmatch.errors import TwinmatchError
@@ -60,8 +67,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ahead = "set-points ahead: a .csv of seconds ahead and set-point, or those recorded in the session"
     parser.add_argument("--reference", metavar="FILE|recorded", help=ahead)
     held = "set-point to hold ahead; give it once for each set-point of the plant, in its order"
-    parser.add_argument("--hold", type=float, action="append", metavar="VALUE", help=held)
-    parser.add_argument("--candidate", metavar="NAME", help="candidate that forecasts (default: the leader)")
+    parser.add_argument(
+        "--hold", type=float, action="append", metavar="VALUE", help=held
+    )
+    parser.add_argument(
+        "--candidate",
+        metavar="NAME",
+        help="candidate that forecasts (default: the leader)",
+    )
     whole = "give the twin all samples of the session, not only the last windows before the first SAMPLE"
     parser.add_argument("--from-the-beginning", action="store_true", help=whole)
     horizon = "forecast horizon, s (default: 300, at least 60 and at most 600 samples)"
@@ -78,16 +91,22 @@ def run(options: argparse.Namespace) -> int:
         TwinmatchError: an option, the session or a file cannot be used.
     """
     if options.reference is not None and options.hold is not None:
-        raise TwinmatchError("forecast: --reference and --hold exclude each other; give only one of them")
+        raise TwinmatchError(
+            "forecast: --reference and --hold exclude each other; give only one of them"
+        )
     if options.candidate is not None and not options.candidate.strip():
-        raise TwinmatchError("forecast: --candidate is empty; give a name, or omit it to use the leader")
+        raise TwinmatchError(
+            "forecast: --candidate is empty; give a name, or omit it to use the leader"
+        )
     check_writable(options.json, options.figure)
     if options.reach is not None:
         return _arrivals(options)
     if options.by is not None:
         options.parser.error("--by needs --reach LEVEL")
     if not options.at:
-        options.parser.error("give --at SAMPLE, or --reach LEVEL to forecast from the last one")
+        options.parser.error(
+            "give --at SAMPLE, or --reach LEVEL to forecast from the last one"
+        )
     with held_interrupts():
         settings, requested = _forecasts(options)
 
@@ -96,7 +115,10 @@ def run(options: argparse.Namespace) -> int:
     forecasts = [forecast.fan.forecast for forecast in requested]
     reason = "its forecasts have saved the most characters so far"
     print(f"The leader is the candidate to forecast with: {reason}.")
-    write_json(options.json, lambda: [forecast_document(forecast, settings.plant) for forecast in forecasts])
+    write_json(
+        options.json,
+        lambda: [forecast_document(forecast, settings.plant) for forecast in forecasts],
+    )
     if options.figure is not None:
         _draw([forecast.fan for forecast in requested], settings.plant, options.figure)
     return 0
@@ -104,20 +126,29 @@ def run(options: argparse.Namespace) -> int:
 
 def _draw(fans: Sequence[Fan], plant: type[Plant], figure: Path) -> None:
     """Draw the forecasts of every output, each into a file of its own beside `figure`."""
-    from twinmatch.showing.figures.drawing import save  # noqa: PLC0415 — matplotlib is slow
+    from twinmatch.showing.figures.drawing import save  # noqa: PLC0415
     from twinmatch.showing.figures.forecasts import draw_forecasts  # noqa: PLC0415
 
     for k, alone in enumerate(channels(plant)):
         ending = f"_{next(iter(alone.outputs))}" if k else ""
-        save(draw_forecasts([fan.alone(k) for fan in fans], alone), figure.with_stem(figure.stem + ending))
+        save(
+            draw_forecasts([fan.alone(k) for fan in fans], alone),
+            figure.with_stem(figure.stem + ending),
+        )
 
 
 def _arrivals(options: argparse.Namespace) -> int:
     """When the output is at a level, from each sample, and when to begin; returns the exit code."""
-    if options.reference is not None or options.horizon is not None or options.figure is not None:
+    if (
+        options.reference is not None
+        or options.horizon is not None
+        or options.figure is not None
+    ):
         options.parser.error("--reach takes --hold, --by, --at, --candidate and --json")
     if options.hold is not None and len(options.hold) > 1:
-        options.parser.error("--reach takes --hold once: it is for a plant with one output")
+        options.parser.error(
+            "--reach takes --hold once: it is for a plant with one output"
+        )
     hold = None if options.hold is None else options.hold[0]
     documents = []
     with held_interrupts():
@@ -131,20 +162,37 @@ def _arrivals(options: argparse.Namespace) -> int:
             stamp = samples[index].stamp
             by = None if options.by is None else seconds_until(options.by, stamp)
             outlook = by_sample[index].outlook
-            longest = samples_ahead(LONGEST * time_scale(settings.period), settings) if by else MAX_SAMPLES
-            answer = arrival(outlook, ArrivalQuestion(options.reach, by, hold, longest=longest))
+            longest = (
+                samples_ahead(LONGEST * time_scale(settings.period), settings)
+                if by
+                else MAX_SAMPLES
+            )
+            answer = arrival(
+                outlook, ArrivalQuestion(options.reach, by, hold, longest=longest)
+            )
             print(f"From sample {index}, {outlook.candidate}:")
-            for line in arrival_words(answer, settings.plant, stamp, closed=outlook.closed):
+            for line in arrival_words(
+                answer, settings.plant, stamp, closed=outlook.closed
+            ):
                 print(f"  {line}")
             for note in answer.notes:
                 print(f"  Note: {note.rstrip('.')}.")
-            documents.append({"sample": index, "candidate": outlook.candidate, **arrival_document(answer)})
+            documents.append(
+                {
+                    "sample": index,
+                    "candidate": outlook.candidate,
+                    **arrival_document(answer),
+                }
+            )
     write_json(options.json, lambda: documents)
     return 0
 
 
 def _prospects(
-    options: argparse.Namespace, session: Session, terms: Terms, indices: Collection[int]
+    options: argparse.Namespace,
+    session: Session,
+    terms: Terms,
+    indices: Collection[int],
 ) -> dict[int, Prospect]:
     """What the twin knows at each of these samples, by index; shows how far the judging is."""
     with Progress() as progress:
@@ -204,7 +252,9 @@ def _forecasts(options: argparse.Namespace) -> tuple[TwinSettings, list[_Request
     for index, sample in samples.items():
         prospect = by_sample[index]
         settled = prospect.stretches
-        ahead = planned.get(index) or recorded_ahead(session, sample, size, settled, settings)
+        ahead = planned.get(index) or recorded_ahead(
+            session, sample, size, settled, settings
+        )
         forecast = forecast_of(prospect, ahead, period)
         forecast = replace(forecast, notes=(*session.missing, *forecast.notes))
         requested[index] = _Requested(fan(forecast, settled), prospect, ahead.words)
@@ -218,10 +268,14 @@ def _print(requested: _Requested, settings: TwinSettings) -> None:
     print(f"At {seconds} (sample {forecast.sample}), {requested.words}:")
     confidence = f"confidence {prospect.leader_confidence:.2f}"
     leader = (
-        f"the leader ({confidence})" if prospect.leads else f"the leader is {prospect.leader}, {confidence}"
+        f"the leader ({confidence})"
+        if prospect.leads
+        else f"the leader is {prospect.leader}, {confidence}"
     )
     print(f"  {forecast.candidate} forecasts {forecast.time[-1]:g} s; {leader}")
-    for line in forecast_words(forecast, settings) + comparison_words(requested.fan, settings.plant):
+    for line in forecast_words(forecast, settings) + comparison_words(
+        requested.fan, settings.plant
+    ):
         print(f"  {line}")
     for note in forecast.notes:
         print(f"  Note: {note.rstrip('.')}.")

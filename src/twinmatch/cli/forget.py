@@ -11,13 +11,23 @@ from twinmatch.memory import Memory, default_files
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("sessions", nargs="+", metavar="SESSION", help="name or path of a remembered session")
-    add_options(parser, "--memory", help="the memory (default: all in the user's data folder)")
+    parser.add_argument(
+        "sessions",
+        nargs="+",
+        metavar="SESSION",
+        help="name or path of a remembered session",
+    )
+    add_options(
+        parser, "--memory", help="the memory (default: all in the user's data folder)"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Forget them; returns the exit code: 0 all, 3 some are not remembered, 2 none is."""
-    memories = [Memory(file) for file in ([options.memory] if options.memory else default_files())]
+    memories = [
+        Memory(file)
+        for file in ([options.memory] if options.memory else default_files())
+    ]
     missing = 0
     for session in options.sessions:
         names = {session, Path(session).name, Path(session).stem}

@@ -23,6 +23,6 @@ def run(options: argparse.Namespace) -> int:
     words = serving_words("foxglove", options, "foxglove", layout=options.layout)
     check_writable(options.layout, example="layout.json")
     from twinmatch.nodes.runner import run as run_nodes  # noqa: PLC0415
-    from twinmatch.showing.foxglove.node import Foxglove  # noqa: PLC0415 — needs ROS and the SDK
+    from twinmatch.showing.foxglove.node import Foxglove  # noqa: PLC0415
 
     return run_nodes([Foxglove], words)

@@ -11,7 +11,10 @@ from twinmatch.launching.processes import add_page_options, page_of
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "session")
     parser.add_argument(
-        "--rate", type=float, default=50.0, help="times recorded speed (default: 50); 0: as fast as possible"
+        "--rate",
+        type=float,
+        default=50.0,
+        help="times recorded speed (default: 50); 0: as fast as possible",
     )
     add_options(parser, "--candidates")
     add_options(parser, "--config", help="parameter file of the twin's nodes")
@@ -21,10 +24,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Play and show the verdicts as they come; returns the exit code: 130 if interrupted."""
-    from twinmatch.launching.replay import Replay, play  # noqa: PLC0415 — needs ROS
+    from twinmatch.launching.replay import Replay, play  # noqa: PLC0415
 
     if not 0.0 <= options.rate <= 1000.0:
-        options.parser.error(f"--rate is {options.rate:g}; it must be within 0 and 1000")
+        options.parser.error(
+            f"--rate is {options.rate:g}; it must be within 0 and 1000"
+        )
     session = open_shown(options.session, options.plant)
     with page_of(options, options.parser, options.config) as page:
         code = play(Replay(session, options.rate, options.candidates, options.config))

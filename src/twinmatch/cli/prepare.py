@@ -17,7 +17,9 @@ from twinmatch.plants import PLANTS, find_plant
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--plant", metavar="NAME|FILE.py", help="only this plant (default: all that come with twinmatch)"
+        "--plant",
+        metavar="NAME|FILE.py",
+        help="only this plant (default: all that come with twinmatch)",
     )
 
 
@@ -50,7 +52,9 @@ def _compile_all() -> int:
 
 def compile_beside(use: Callable[[], object]) -> BaseProcess:
     """A process of its own for some kernels; it ends with this one, also if this one is killed."""
-    process = multiprocessing.get_context("spawn").Process(target=_use, args=(use,), daemon=True)
+    process = multiprocessing.get_context("spawn").Process(
+        target=_use, args=(use,), daemon=True
+    )
     process.start()
     return process
 
@@ -98,8 +102,12 @@ def judge_a_loop() -> None:
     # Parameters in the middle of their ranges, which are not those that the twin begins with.
     plant = settings.plant.model().typical()
     camera = Sensor(noise=0.1).realise(reference.size, 1.0, seed=1)
-    loop = simulate_closed_loop(plant, reference, states=begin(plant, reference[0]), sensor=camera)
-    judge_samples("simulated", samples_of(Window(reference, loop.output, loop.input)), settings)
+    loop = simulate_closed_loop(
+        plant, reference, states=begin(plant, reference[0]), sensor=camera
+    )
+    judge_samples(
+        "simulated", samples_of(Window(reference, loop.output, loop.input)), settings
+    )
 
 
 def judge_channels() -> None:

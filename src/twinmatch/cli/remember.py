@@ -9,7 +9,13 @@ from pathlib import Path
 from twinmatch.cli.shared import Progress, add_options, exit_code, say_missing
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing import open_any
-from twinmatch.memory import Memory, MemoryFaultError, current_lessons, default_file, digest_of
+from twinmatch.memory import (
+    Memory,
+    MemoryFaultError,
+    current_lessons,
+    default_file,
+    digest_of,
+)
 from twinmatch.offline.archive import find_sessions
 from twinmatch.offline.judging import terms_from_files
 from twinmatch.offline.processes import held_interrupts
@@ -17,7 +23,9 @@ from twinmatch.offline.remembering import learn
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(parser, "sessions", "--memory", "--rig", "--plant", "--allow-fmu", "--config")
+    add_options(
+        parser, "sessions", "--memory", "--rig", "--plant", "--allow-fmu", "--config"
+    )
     although = "learn also from sessions that are cut off, damaged, or were repaired after damage"
     parser.add_argument("--although", action="store_true", help=although)
 
@@ -58,5 +66,9 @@ def _remember(path: Path, options: argparse.Namespace) -> str:
     if not lessons:
         return f"{session.name}: teaches nothing: its healthy part is too short, or determines no parameters"
     memory.add(lessons)
-    part = "" if lessons[0].fault_at is None else f", up to its first fault at sample {lessons[0].fault_at}"
+    part = (
+        ""
+        if lessons[0].fault_at is None
+        else f", up to its first fault at sample {lessons[0].fault_at}"
+    )
     return f"{session.name}: {len(lessons)} structures{part} → {memory.path}"

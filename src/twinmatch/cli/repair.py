@@ -19,7 +19,11 @@ def run(options: argparse.Namespace) -> int:
     if not repaired.faults:
         print(f"{options.session}: complete, {contents}; nothing to repair")
         return 0
-    print(f"{options.session}: repaired ({'; '.join(repaired.faults)}); {contents} were saved")
+    print(
+        f"{options.session}: repaired ({'; '.join(repaired.faults)}); {contents} were saved"
+    )
     if repaired.original is not None:
-        print(f"The file was damaged before its end, so the original was kept: {repaired.original}")
+        print(
+            f"The file was damaged before its end, so the original was kept: {repaired.original}"
+        )
     return 0

@@ -59,12 +59,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "candidates. Exit code 0: all judged; 3: some skipped; 2: none judged.",
     )
     count = positive(int, "a number of processes; give 1 or more")
-    group.add_argument("--jobs", type=count, metavar="N", help="processes (default: one per core)")
     group.add_argument(
-        "--out", type=Path, metavar="DIR", help="write a JSON file per session; judge only new sessions"
+        "--jobs", type=count, metavar="N", help="processes (default: one per core)"
     )
     group.add_argument(
-        "--scheduler", metavar="ADDRESS", help="judge on this Dask cluster; it needs the same paths"
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="write a JSON file per session; judge only new sessions",
+    )
+    group.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="judge on this Dask cluster; it needs the same paths",
     )
 
 
@@ -90,23 +97,32 @@ def _replay_one(path: Path, options: argparse.Namespace) -> None:
     verdicts = judgement.verdicts
     for line in closing_lines(judgement.summary, verdicts[-1] if verdicts else None):
         view.say(line)
-    write_json(options.json, lambda: document(judgement.name, verdicts, judgement.summary, judgement.matches))
+    write_json(
+        options.json,
+        lambda: document(
+            judgement.name, verdicts, judgement.summary, judgement.matches
+        ),
+    )
     if options.figure is not None:
-        from twinmatch.showing.figures.session import draw_verdict  # noqa: PLC0415 — matplotlib is slow
+        from twinmatch.showing.figures.session import draw_verdict  # noqa: PLC0415
 
         settled = judgement.stretches
-        draw_verdict(judgement.samples, verdicts, judgement.settings, settled, options.figure)
+        draw_verdict(
+            judgement.samples, verdicts, judgement.settings, settled, options.figure
+        )
 
 
 @contextmanager
-def _display(session: Session) -> Iterator[tuple[Screen | Lines, Callable[[Twin, Sample, Outcome], None]]]:
+def _display(
+    session: Session,
+) -> Iterator[tuple[Screen | Lines, Callable[[Twin, Sample, Outcome], None]]]:
     """A screen on a terminal; elsewhere lines, with a progress bar on standard error."""
     samples_judged = 0
     total = len(session.samples)
     redrawn = redraws(sys.stdout)
     view: Screen | Lines = Lines(session.period)
     if redrawn:
-        from twinmatch.showing.console import Console  # noqa: PLC0415 — only a terminal needs it
+        from twinmatch.showing.console import Console  # noqa: PLC0415
         from twinmatch.showing.terminal import Screen  # noqa: PLC0415
 
         view = Screen(Console(), session.name, session.period, total)
@@ -140,14 +156,18 @@ def _replay_many(options: argparse.Namespace) -> int:
         msg = "--allow-fmu works with one session; for several, set allow_fmu in the file of --config"
         raise TwinmatchError(msg)
     if options.figure is not None:
-        raise ArchiveError("--figure: draws one session, but several were given; give one")
+        raise ArchiveError(
+            "--figure: draws one session, but several were given; give one"
+        )
     with Progress() as progress:
         names = ("config", "plant", "candidates", "out", "jobs", "scheduler")
         archive = judge_archive(
             options.sessions,
             document=document,
             watch=progress.advance,
-            on_skip=lambda failure: print(f"twinmatch: skipped {failure.reason}", file=sys.stderr),
+            on_skip=lambda failure: print(
+                f"twinmatch: skipped {failure.reason}", file=sys.stderr
+            ),
             **{name: getattr(options, name) for name in names},
         )
     _print(archive)
@@ -161,7 +181,9 @@ def _print(archive: Archive) -> None:
             print(f"Note: {judged['session']}: {note}")
     if archive.candidates:
         console_for(180).print(_table(archive))
-    without = [s["session"] for s in archive.sessions if s["summary"]["nominal"] is None]
+    without = [
+        s["session"] for s in archive.sessions if s["summary"]["nominal"] is None
+    ]
     if without:
         print(f"No nominal twin: {', '.join(without)}")
     reused = f", {archive.reused} of them earlier" if archive.reused else ""
@@ -175,7 +197,7 @@ def _table(archive: Archive) -> Table:
 
     The columns include the free parameters of the first candidate's structure.
     """
-    from rich.table import Table  # noqa: PLC0415 — needed only to print
+    from rich.table import Table  # noqa: PLC0415
 
     first = archive.candidates[0]
     plant = plant_named(first["plant"])
@@ -192,23 +214,33 @@ def _table(archive: Archive) -> Table:
     for kind, signals in (("y", shown_outputs(plant)), ("u", shown_inputs(plant))):
         for k, signal in enumerate(signals):
             name, fit_text = _fit_column(kind, k, kind if plant.single else signal)
-            if plant.single or any(fit_text(row) != number(None) for row in archive.candidates):
+            if plant.single or any(
+                fit_text(row) != number(None) for row in archive.candidates
+            ):
                 columns.append((name, fit_text))
-    shown = Table(title="Candidates over all sessions (* nominal)", box=None, pad_edge=False)
+    shown = Table(
+        title="Candidates over all sessions (* nominal)", box=None, pad_edge=False
+    )
     for name, _ in columns:
         side: Any = "left" if name in {"session", "candidate"} else "right"
         shown.add_column(name, justify=side, no_wrap=name != "session", overflow="fold")
     before = ""
     for row in archive.candidates:
         session, *texts = (text(row) for _, text in columns)
-        shown.add_row("" if session == before else session, *texts, style="bold" if row["nominal"] else "")
+        shown.add_row(
+            "" if session == before else session,
+            *texts,
+            style="bold" if row["nominal"] else "",
+        )
         before = session
     return shown
 
 
 def _parameter_column(parameter: ParameterFormat) -> _Column:
     """The value of a parameter."""
-    return parameter.label, lambda row: parameter.text(row["parameters"].get(parameter.name, math.nan))
+    return parameter.label, lambda row: parameter.text(
+        row["parameters"].get(parameter.name, math.nan)
+    )
 
 
 def _fit_column(kind: str, k: int, signal: str | ShownSignal) -> _Column:

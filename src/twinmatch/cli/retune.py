@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import argparse
 
-from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable, open_shown, write_json
+from twinmatch.cli.shared import (
+    TERMS,
+    Progress,
+    add_options,
+    check_writable,
+    open_shown,
+    write_json,
+)
 from twinmatch.cli.try_controller import EXITS
 from twinmatch.controllers import (
     AIMS,
@@ -30,11 +37,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     aim = "what to make small: the error after a load (default) or a set-point step, or the travel by noise"
     parser.add_argument("--for", dest="aim", choices=AIMS, default="load", help=aim)
     ceiling = "ceiling of M_s (default: 1.6)"
-    parser.add_argument("--max-sensitivity", type=float, default=1.6, metavar="MS", help=ceiling)
+    parser.add_argument(
+        "--max-sensitivity", type=float, default=1.6, metavar="MS", help=ceiling
+    )
     most = "largest factor by which a gain may change (default: 2)"
-    parser.add_argument("--most-change", type=float, default=2.0, metavar="N", help=most)
-    add_options(parser, "--json", help="write the gains to this file, as a law that try-controller reads")
-    add_options(parser, "--figure", help="draw old and new side by side (.png, .svg or .pdf)")
+    parser.add_argument(
+        "--most-change", type=float, default=2.0, metavar="N", help=most
+    )
+    add_options(
+        parser,
+        "--json",
+        help="write the gains to this file, as a law that try-controller reads",
+    )
+    add_options(
+        parser, "--figure", help="draw old and new side by side (.png, .svg or .pdf)"
+    )
     add_options(parser, *TERMS)
 
 
@@ -46,10 +63,16 @@ def run(options: argparse.Namespace) -> int:
     """
     check_writable(options.json, options.figure)
     with held_interrupts():
-        ground = ground_of(open_shown(options.session, options.plant), options.config, options.candidates)
+        ground = ground_of(
+            open_shown(options.session, options.plant),
+            options.config,
+            options.candidates,
+        )
         gains = ground.holding.law
         if not isinstance(gains, PidGains):
-            raise ControllerError(f"retune: {ground.session.name}: its controller is not a known PID")
+            raise ControllerError(
+                f"retune: {ground.session.name}: its controller is not a known PID"
+            )
         with Progress() as progress:
             twins = members_from(ground, watch=progress.advance)
         retuned = retune(
@@ -62,14 +85,19 @@ def run(options: argparse.Namespace) -> int:
             most_change=options.most_change,
         )
         references = usual_profile(ground.plant, ground.level, ground.holding.samples)
-        question = ControllerQuestion(retuned.after, references, ground.level, ground.holding)
+        question = ControllerQuestion(
+            retuned.after, references, ground.level, ground.holding
+        )
         with Progress("trying") as progress:
             answer = try_controller(twins, question, progress.advance)
-    for line in (*retuned_words(retuned, answer), *(f"  {line}" for line in answer_words(answer))):
+    for line in (
+        *retuned_words(retuned, answer),
+        *(f"  {line}" for line in answer_words(answer)),
+    ):
         print(line)
     write_json(options.json, lambda: pid_document(retuned.after))
     if options.figure is not None:
-        from twinmatch.showing.figures.controllers import draw_answer  # noqa: PLC0415 — matplotlib is slow
+        from twinmatch.showing.figures.controllers import draw_answer  # noqa: PLC0415
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415
 
         save(draw_answer(answer), options.figure)

@@ -47,7 +47,10 @@ _FILE: Final = {"type": Path, "metavar": "FILE"}
 _OUT: Final = {"type": Path, "metavar": "OUT"}
 _FLAG: Final = {"action": "store_true"}
 OPTIONS: Final[dict[str, dict[str, Any]]] = {
-    "session": {"type": Path, "help": "session folder, .mcap file or recording (.mat, .csv)"},
+    "session": {
+        "type": Path,
+        "help": "session folder, .mcap file or recording (.mat, .csv)",
+    },
     "sessions": {
         **{"type": Path, "nargs": "+", "metavar": "SESSION"},
         "help": "session folder, .mcap file, recording (.mat, .csv), folder of any of these, or pattern",
@@ -63,8 +66,15 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         **_FILE,
         "help": "use the FMUs listed in this file (.yaml) as structures of the plant; their code is executed",
     },
-    "--memory": {**_FILE, "help": "the memory (default: one per plant and rig in the user's data folder)"},
-    "--rig": {"default": "", "metavar": "NAME", "help": "which of several plants of this kind it is"},
+    "--memory": {
+        **_FILE,
+        "help": "the memory (default: one per plant and rig in the user's data folder)",
+    },
+    "--rig": {
+        "default": "",
+        "metavar": "NAME",
+        "help": "which of several plants of this kind it is",
+    },
     "--json": {**_OUT, "help": "write every verdict to this file"},
     "--figure": {**_OUT, "help": "draw the verdict (.png, .svg or .pdf)"},
     "--map": {"nargs": "+", "default": [], "metavar": "SIGNAL=COLUMN"},
@@ -83,7 +93,11 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         "help": "what to do with longer gaps: refuse them (default), or split the recording there, so that "
         "no window reaches across",
     },
-    "--session": {"type": Path, "metavar": "FOLDER", "help": "record here (default: sessions/<time>)"},
+    "--session": {
+        "type": Path,
+        "metavar": "FOLDER",
+        "help": "record here (default: sessions/<time>)",
+    },
     "--speed": {
         **{"type": speed, "default": 1.0, "metavar": "N"},
         "help": "highest speed of the virtual rig, times real time, or max (default: 1)",
@@ -97,15 +111,28 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         "help": "board of the virtual Peltier rig: simavr: the firmware image on a simulated processor; "
         "python: a stand-in; auto (default): simavr if available",
     },
-    "--seed": {"type": int, "default": 0, "help": "seed of the virtual sensor's noise (default: 0)"},
+    "--seed": {
+        "type": int,
+        "default": 0,
+        "help": "seed of the virtual sensor's noise (default: 0)",
+    },
     "--no-record": {**_FLAG, "help": "record nothing"},
 }
 """Arguments that several commands have, with their usual help texts."""
-TERMS: Final = ("--candidates", "--memory", "--rig", "--plant", "--allow-fmu", "--config")
+TERMS: Final = (
+    "--candidates",
+    "--memory",
+    "--rig",
+    "--plant",
+    "--allow-fmu",
+    "--config",
+)
 """Options for the terms of a judgement."""
 
 
-def add_options(parser: argparse._ActionsContainer, *names: str, **changed: Any) -> None:
+def add_options(
+    parser: argparse._ActionsContainer, *names: str, **changed: Any
+) -> None:
     """Add arguments of `OPTIONS`, with these changes of their settings."""
     for name in names:
         parser.add_argument(name, **OPTIONS[name] | changed)
@@ -113,7 +140,7 @@ def add_options(parser: argparse._ActionsContainer, *names: str, **changed: Any)
 
 def open_shown(path: Path, plant: str | None = None) -> Session:
     """Read a session of any kind, with a progress bar, and say what is missing of it."""
-    from twinmatch.importing import open_any  # noqa: PLC0415 — slow to import
+    from twinmatch.importing import open_any  # noqa: PLC0415
 
     with Progress("reading") as progress:
         session = open_any(path, progress=progress.advance, plant=plant)
@@ -129,8 +156,14 @@ def say_missing(name: str, missing: Sequence[str]) -> None:
 
 def judging(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
     """Arguments of whatever reads a session and judges it: the options of `TERMS`, and its progress."""
-    arguments = {name: getattr(options, name) for name in ("config", "candidates", "plant")}
-    return {**arguments, "watch": progress.advance, "progress": partial(progress.show, "reading")}
+    arguments = {
+        name: getattr(options, name) for name in ("config", "candidates", "plant")
+    }
+    return {
+        **arguments,
+        "watch": progress.advance,
+        "progress": partial(progress.show, "reading"),
+    }
 
 
 def column_map(options: argparse.Namespace) -> SignalMap:
@@ -154,7 +187,9 @@ def positive_period(options: argparse.Namespace, command: str) -> float | None:
     """
     period: float | None = options.period
     if period is not None and not period > 0:
-        raise TwinmatchError(f"{command}: --period is {period:g}; give a positive number of seconds")
+        raise TwinmatchError(
+            f"{command}: --period is {period:g}; give a positive number of seconds"
+        )
     return period
 
 
@@ -183,7 +218,9 @@ def check_writable(*outputs: Path | None, example: str = "") -> None:
         if output is None:
             continue
         if not output.absolute().parent.is_dir():
-            raise TwinmatchError(f"{output}: the folder {output.parent} does not exist; create it first")
+            raise TwinmatchError(
+                f"{output}: the folder {output.parent} does not exist; create it first"
+            )
         if output.is_dir():
             hint = f", such as {output / example}" if example else ""
             raise TwinmatchError(f"{output}: is a folder; give the file to write{hint}")
@@ -197,13 +234,17 @@ def write_json(path: Path | None, content: Callable[[], Any]) -> None:
     """
     if path is None:
         return
-    import msgspec  # noqa: PLC0415 — Python's own encoder takes seconds to indent the verdicts of an hour
+    import msgspec  # noqa: PLC0415
 
     value = content()
     try:
-        text = msgspec.json.format(msgspec.json.encode(value, enc_hook=methodcaller("item")), indent=1)
+        text = msgspec.json.format(
+            msgspec.json.encode(value, enc_hook=methodcaller("item")), indent=1
+        )
     except UnicodeEncodeError:  # a path that is not UTF-8: its bytes become escapes
-        text = json.dumps(value, indent=1, default=methodcaller("item"), allow_nan=False).encode("ascii")
+        text = json.dumps(
+            value, indent=1, default=methodcaller("item"), allow_nan=False
+        ).encode("ascii")
     try:
         path.write_bytes(text + b"\n")
     except OSError as error:
@@ -212,7 +253,7 @@ def write_json(path: Path | None, content: Callable[[], Any]) -> None:
 
 def console_for(width: int) -> Console:
     """A console for tables, of this width, in characters, where the output is not a terminal."""
-    from twinmatch.showing.console import Console  # noqa: PLC0415 — needed only to print tables
+    from twinmatch.showing.console import Console  # noqa: PLC0415
 
     console = Console()
     if not console.is_terminal:
@@ -241,14 +282,16 @@ class Progress:
         """Kernels that have been compiled for this work, the one in progress included."""
 
     def __enter__(self) -> Progress:
-        from twinmatch.compiled import told  # noqa: PLC0415 — slow
+        from twinmatch.compiled import told  # noqa: PLC0415
 
         told.append(self._compile)
-        self._shown = sys.stderr.isatty() and os.environ.get("TERM", "").lower() not in {"dumb", "unknown"}
+        self._shown = sys.stderr.isatty() and os.environ.get(
+            "TERM", ""
+        ).lower() not in {"dumb", "unknown"}
         return self
 
     def __exit__(self, *_: object) -> None:
-        from twinmatch.compiled import told  # noqa: PLC0415 — slow
+        from twinmatch.compiled import told  # noqa: PLC0415
 
         told.remove(self._compile)
         if self._bar is not None:
@@ -269,15 +312,19 @@ class Progress:
         """Show what is being done, and that `parts_done` of its `total` parts are; 0 parts: nobody knows."""
         self._progress = parts_done, total
         if self._bar is None and self._shown:
-            from rich.progress import Progress as Bar  # noqa: PLC0415 — needed only for the bar
+            from rich.progress import Progress as Bar  # noqa: PLC0415
 
             from twinmatch.showing.console import Console  # noqa: PLC0415
 
-            self._bar = Bar(console=Console(stderr=True), transient=True, redirect_stdout=False)
+            self._bar = Bar(
+                console=Console(stderr=True), transient=True, redirect_stdout=False
+            )
             self._task = self._bar.add_task(doing, total=None)
             self._bar.start()
         if self._bar is not None:
-            self._bar.update(self._task, description=doing, completed=parts_done, total=total or None)
+            self._bar.update(
+                self._task, description=doing, completed=parts_done, total=total or None
+            )
         elif not self._shown and time.monotonic() - self._printed_at > self.SILENCE:
             self._printed_at = time.monotonic()
             share = f", {parts_done / total:.0%} done" if total else ""
@@ -290,36 +337,57 @@ def add_serving_options(parser: argparse.ArgumentParser, port: int) -> None:
     parser.add_argument("--address", default="127.0.0.1", help=address)
     port_words = f"TCP port (default: {port}); 0: any free port"
     parser.add_argument("--port", type=int, default=port, help=port_words)
-    host_help = (
-        "a name it answers to, besides localhost and its address, or whose pages may use it; repeatable"
+    host_help = "a name it answers to, besides localhost and its address, or whose pages may use it; repeatable"
+    parser.add_argument(
+        "--host", action="append", metavar="NAME", dest="hosts", help=host_help
     )
-    parser.add_argument("--host", action="append", metavar="NAME", dest="hosts", help=host_help)
-    parser.add_argument("--namespace", default="", metavar="/RIG", help="namespace of the plant to show")
+    parser.add_argument(
+        "--namespace", default="", metavar="/RIG", help="namespace of the plant to show"
+    )
 
 
-def serving_words(command: str, options: argparse.Namespace, library: str, **parameters: Any) -> list[str]:
+def serving_words(
+    command: str, options: argparse.Namespace, library: str, **parameters: Any
+) -> list[str]:
     """The command line of a server's node: address, port, names, namespace, these parameters; None left out.
 
     Raises:
         ServingError: an option has an invalid value, or `library` (of the extra named `command`) is not
             installed.
     """
-    from twinmatch.showing.serving import ServingError  # noqa: PLC0415 — slow, and only servers need it
+    from twinmatch.showing.serving import ServingError  # noqa: PLC0415
 
     if not 0 <= options.port <= 65535:
-        raise ServingError(f"{command}: --port is {options.port}; give a port from 0 to 65535")
+        raise ServingError(
+            f"{command}: --port is {options.port}; give a port from 0 to 65535"
+        )
     if importlib.util.find_spec(library) is None:
-        raise ServingError(f"{command}: {library} is not installed; pip install 'twinmatch[{command}]'")
-    if options.namespace and re.fullmatch(r"(/?[A-Za-z_][A-Za-z0-9_]*)+", options.namespace) is None:
-        raise ServingError(f"{command}: {options.namespace!r} is not a namespace; give one such as /rig_a")
-    shared_options = {name: getattr(options, name) for name in ("address", "port", "hosts")}
+        raise ServingError(
+            f"{command}: {library} is not installed; pip install 'twinmatch[{command}]'"
+        )
+    if (
+        options.namespace
+        and re.fullmatch(r"(/?[A-Za-z_][A-Za-z0-9_]*)+", options.namespace) is None
+    ):
+        raise ServingError(
+            f"{command}: {options.namespace!r} is not a namespace; give one such as /rig_a"
+        )
+    shared_options = {
+        name: getattr(options, name) for name in ("address", "port", "hosts")
+    }
     words = node_words(command, {**shared_options, **parameters})
-    return [*words, "-r", f"__ns:=/{options.namespace.removeprefix('/')}"] if options.namespace else words
+    return (
+        [*words, "-r", f"__ns:=/{options.namespace.removeprefix('/')}"]
+        if options.namespace
+        else words
+    )
 
 
 def add_goal_options(parser: argparse._ActionsContainer) -> None:
     """Add `--reach` and `--by` of a running plant."""
-    reach = "say when the output is at this level, and when it is there if one begins now"
+    reach = (
+        "say when the output is at this level, and when it is there if one begins now"
+    )
     parser.add_argument("--reach", type=float, metavar="LEVEL", help=reach)
     by = "with --reach: say when to begin to be there by this time of day"
     parser.add_argument("--by", metavar="HH:MM", help=by)
@@ -331,7 +399,7 @@ def goal_of(options: argparse.Namespace) -> Goal:
     Raises:
         ClockTimeError: the level or the time cannot be used.
     """
-    from twinmatch.showing.page.goal import Goal  # noqa: PLC0415 — few commands have one
+    from twinmatch.showing.page.goal import Goal  # noqa: PLC0415
 
     return Goal(options.reach, options.by or "")
 
@@ -341,14 +409,16 @@ def node_words(name: str, parameters: Mapping[str, Any]) -> list[str]:
     words = [name, "--ros-args"]
     for key, value in parameters.items():
         if value is not None:
-            text = json.dumps(str(value) if isinstance(value, Path) else value, ensure_ascii=False)
+            text = json.dumps(
+                str(value) if isinstance(value, Path) else value, ensure_ascii=False
+            )
             words += ["-p", f"{key}:={text}"]
     return words
 
 
 def session_to_record(options: argparse.Namespace) -> Path | None:
     """The new folder that the options `--session` and `--no-record` name; None: record nothing."""
-    from twinmatch.launching.processes import refuse_existing  # noqa: PLC0415 — few commands record
+    from twinmatch.launching.processes import refuse_existing  # noqa: PLC0415
 
     session = options.session or Path("sessions") / time.strftime("%Y-%m-%d_%H-%M-%S")
     session = None if options.no_record else session

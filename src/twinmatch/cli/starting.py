@@ -19,17 +19,22 @@ def started(options: argparse.Namespace) -> Iterator[None]:
 
     A memory that cannot be used is reported, and the command runs without it.
     """
-    if not (getattr(options, "memory", None) or getattr(options, "rig", "")) or "candidates" not in options:
+    if (
+        not (getattr(options, "memory", None) or getattr(options, "rig", ""))
+        or "candidates" not in options
+    ):
         yield
         return
-    from twinmatch.memory import MemoryFaultError  # noqa: PLC0415 — few runs need it
+    from twinmatch.memory import MemoryFaultError  # noqa: PLC0415
     from twinmatch.offline.starting import memory_file, remembered_start  # noqa: PLC0415
     from twinmatch.parameters.candidates import candidates_text, read_candidates  # noqa: PLC0415
 
     plant = options.plant or ""
     single = [getattr(options, name, None) for name in ("session", "came")]
     paths = [*single, *getattr(options, "sessions", [])]
-    judged = {name for path in paths if path is not None for name in (path.name, path.stem)}
+    judged = {
+        name for path in paths if path is not None for name in (path.name, path.stem)
+    }
     try:
         options.memory = memory_file(options.memory, options.rig, plant)
         start = remembered_start(options.memory, options.rig, plant, judged)
@@ -40,9 +45,13 @@ def started(options: argparse.Namespace) -> Iterator[None]:
     print(f"memory {start.sentence}", file=sys.stderr)
     with tempfile.TemporaryDirectory(prefix="twinmatch-start-") as folder:
         if start.candidates:
-            candidates = read_candidates(options.candidates) if options.candidates else []
+            candidates = (
+                read_candidates(options.candidates) if options.candidates else []
+            )
             options.candidates = Path(folder) / "candidates.yaml"
-            options.candidates.write_text(candidates_text([*candidates, *start.candidates]), "utf-8")
+            options.candidates.write_text(
+                candidates_text([*candidates, *start.candidates]), "utf-8"
+            )
         yield
 
 
@@ -58,7 +67,9 @@ def remember_recorded(options: argparse.Namespace, sessions: Sequence[Path]) -> 
 
     for path in filter(Path.exists, sessions):
         try:
-            memory = Memory(memory_file(options.memory, options.rig, options.plant or ""))
+            memory = Memory(
+                memory_file(options.memory, options.rig, options.plant or "")
+            )
             session = read_session(path)
             if session.missing:
                 say_missing(session.name, session.missing)
@@ -68,7 +79,9 @@ def remember_recorded(options: argparse.Namespace, sessions: Sequence[Path]) -> 
                     file=sys.stderr,
                 )
                 continue
-            lessons = learn(session, terms_from_files(session, options.twin_config), options.rig)
+            lessons = learn(
+                session, terms_from_files(session, options.twin_config), options.rig
+            )
             memory.add(lessons)
         except TwinmatchError as error:
             print(f"twinmatch: {path} is not remembered: {error}", file=sys.stderr)

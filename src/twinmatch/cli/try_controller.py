@@ -9,7 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from twinmatch.cli.shared import TERMS, Progress, add_options, check_writable, open_shown, write_json
+from twinmatch.cli.shared import (
+    TERMS,
+    Progress,
+    add_options,
+    check_writable,
+    open_shown,
+    write_json,
+)
 from twinmatch.controllers import (
     ControllerDecision,
     ControllerError,
@@ -37,10 +44,19 @@ from twinmatch.offline.outlooks import RECORDED, planned_rows
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.offline.track_record import LawThatRan
 from twinmatch.sessions import Session
-from twinmatch.showing.controllers import answer_document, answer_words, comparison_document, comparison_words
+from twinmatch.showing.controllers import (
+    answer_document,
+    answer_words,
+    comparison_document,
+    comparison_words,
+)
 from twinmatch.signals import FloatArray
 
-EXITS: Final = {ControllerDecision.SAFE: 0, ControllerDecision.FAILS: 1, ControllerDecision.UNDECIDED: 3}
+EXITS: Final = {
+    ControllerDecision.SAFE: 0,
+    ControllerDecision.FAILS: 1,
+    ControllerDecision.UNDECIDED: 3,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,17 +71,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     profile = parser.add_mutually_exclusive_group()
     over = "set-points to try it over: a .csv of seconds and a level for each output"
     profile.add_argument("--over", type=Path, metavar="PROFILE", help=over)
-    steps: dict[str, Any] = {"action": "extend", "nargs": "+", "metavar": "NAME=LEVEL@S"}
-    profile.add_argument("--set", **steps, help="steps of set-points: output, level, and time in seconds")
-    profile.add_argument("--reference", choices=[RECORDED], help="the set-points of the last session")
+    steps: dict[str, Any] = {
+        "action": "extend",
+        "nargs": "+",
+        "metavar": "NAME=LEVEL@S",
+    }
+    profile.add_argument(
+        "--set", **steps, help="steps of set-points: output, level, and time in seconds"
+    )
+    profile.add_argument(
+        "--reference", choices=[RECORDED], help="the set-points of the last session"
+    )
     came = "predict this session, in which the law ran, and compare; with a memory, keep the comparison there"
     profile.add_argument("--came", type=Path, metavar="SESSION2", help=came)
     begin = "begin in the state of the session's end (default), or at rest"
     parser.add_argument("--begin", choices=["end", "rest"], default="end", help=begin)
     draws = "draws of the parameters over all twins (default: 200)"
     parser.add_argument("--draws", type=int, default=200, metavar="N", help=draws)
-    add_options(parser, "--json", help="write the answer with all figures and bands to this file")
-    add_options(parser, "--figure", help="draw what happens, beside the law that ran (.png, .svg or .pdf)")
+    add_options(
+        parser,
+        "--json",
+        help="write the answer with all figures and bands to this file",
+    )
+    add_options(
+        parser,
+        "--figure",
+        help="draw what happens, beside the law that ran (.png, .svg or .pdf)",
+    )
     add_options(parser, *TERMS)
 
 
@@ -90,7 +122,11 @@ def run(options: argparse.Namespace) -> int:
         from_memory = _twins_from_memory(ground, apart, options)
         # A judgement that started from the memory has its twins, too.
         remembered_parameters = [twin.parameters for twin in from_memory]
-        new = [twin for twin in _members(opened) if twin.parameters not in remembered_parameters]
+        new = [
+            twin
+            for twin in _members(opened)
+            if twin.parameters not in remembered_parameters
+        ]
         members = [*new, *from_memory]
         begun = _begun(members, options) if ran is None else ran.begun(members)
         with Progress("trying") as progress:
@@ -99,17 +135,26 @@ def run(options: argparse.Namespace) -> int:
     answer = replace(answer, notes=notes)
     comparison = None if ran is None else ran.comparison(answer, opened, options.rig)
     if comparison is None and options.memory is not None:
-        answer = widened(answer, Memory(options.memory).comparisons(ground.plant.name, options.rig or None))
+        answer = widened(
+            answer,
+            Memory(options.memory).comparisons(ground.plant.name, options.rig or None),
+        )
     decision, *details = answer_words(answer)
     print(f"{options.loop.name}: {decision}")
     if comparison is not None:
-        details = [comparison_words(comparison), *_kept(ran, comparison, options), *details]
+        details = [
+            comparison_words(comparison),
+            *_kept(ran, comparison, options),
+            *details,
+        ]
     for line in details:
         print(f"  {line}")
-    record = {} if comparison is None else {"comparison": comparison_document(comparison)}
+    record = (
+        {} if comparison is None else {"comparison": comparison_document(comparison)}
+    )
     write_json(options.json, lambda: answer_document(answer) | record)
     if options.figure is not None:
-        from twinmatch.showing.figures.controllers import draw_answer  # noqa: PLC0415 — matplotlib is slow
+        from twinmatch.showing.figures.controllers import draw_answer  # noqa: PLC0415
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415
 
         save(draw_answer(answer), options.figure)
@@ -143,7 +188,9 @@ def _missing(opened: Sequence[Ground]) -> tuple[str, ...]:
 
 
 def _opened(path: Path, options: argparse.Namespace) -> Ground:
-    return ground_of(open_shown(path, options.plant), options.config, options.candidates)
+    return ground_of(
+        open_shown(path, options.plant), options.config, options.candidates
+    )
 
 
 def _asked(options: argparse.Namespace, ground: Ground, law: Law) -> ControllerQuestion:
@@ -160,26 +207,42 @@ def _ran(opened: Sequence[Ground], law: Law, options: argparse.Namespace) -> Law
     digests = [digest_of(ground.session.samples) for ground in opened]
     _last([*opened, came])
     if digest_of(came.session.samples) in digests:
-        raise ControllerError(f"--came {options.came}: is a session that it is predicted from; give another")
+        raise ControllerError(
+            f"--came {options.came}: is a session that it is predicted from; give another"
+        )
     if options.begin == "rest":
-        raise ControllerError("--begin rest: with --came the course begins as that session did; leave it out")
+        raise ControllerError(
+            "--begin rest: with --came the course begins as that session did; leave it out"
+        )
     return LawThatRan(came, law, options.loop.name)
 
 
-def _kept(ran: LawThatRan | None, comparison: LawComparison, options: argparse.Namespace) -> list[str]:
+def _kept(
+    ran: LawThatRan | None, comparison: LawComparison, options: argparse.Namespace
+) -> list[str]:
     """Keep a comparison in the memory that was named, and say so; not that of a session with a fault."""
     if options.memory is None:
         return []
     if ran is not None and ran.faulty:
-        return [f"not kept: {comparison.name} has a fault, for which the law is not to blame"]
+        return [
+            f"not kept: {comparison.name} has a fault, for which the law is not to blame"
+        ]
     new = Memory(options.memory).add_comparison(comparison)
-    return [f"kept in {options.memory}" if new else f"kept in {options.memory} already: the first one stays"]
+    return [
+        f"kept in {options.memory}"
+        if new
+        else f"kept in {options.memory} already: the first one stays"
+    ]
 
 
 def _around(options: argparse.Namespace, ground: Ground) -> FloatArray:
     """The level of a session without set-points: that of the law's document, or where the outputs were."""
     point = resting_point(options.loop)
-    return ground.level if point is None or point.size != len(ground.plant.outputs) else point
+    return (
+        ground.level
+        if point is None or point.size != len(ground.plant.outputs)
+        else point
+    )
 
 
 def _last(opened: Sequence[Ground]) -> Ground:
@@ -205,12 +268,19 @@ def _members(opened: Sequence[Ground]) -> list[TriedTwin]:
     return members
 
 
-def _begun(members: Sequence[TriedTwin], options: argparse.Namespace) -> list[TriedTwin]:
+def _begun(
+    members: Sequence[TriedTwin], options: argparse.Namespace
+) -> list[TriedTwin]:
     """The twins with the states in which courses begin."""
-    return [replace(member, states=None) if options.begin == "rest" else member for member in members]
+    return [
+        replace(member, states=None) if options.begin == "rest" else member
+        for member in members
+    ]
 
 
-def _profile(options: argparse.Namespace, ground: Ground, level: FloatArray) -> FloatArray:
+def _profile(
+    options: argparse.Namespace, ground: Ground, level: FloatArray
+) -> FloatArray:
     plant = ground.plant
     period = ground.session.period
     samples = ground.holding.samples

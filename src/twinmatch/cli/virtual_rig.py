@@ -29,9 +29,14 @@ _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     width = max(map(len, KINDS))
-    parser.epilog = "faults:\n" + "\n".join(f"  {kind:{width}}  {text}" for kind, text in KINDS.items())
+    parser.epilog = "faults:\n" + "\n".join(
+        f"  {kind:{width}}  {text}" for kind, text in KINDS.items()
+    )
     parser.add_argument(
-        "--plant", default="peltier", choices=("peltier", *KITS), help="plant to emulate (default: peltier)"
+        "--plant",
+        default="peltier",
+        choices=("peltier", *KITS),
+        help="plant to emulate (default: peltier)",
     )
     add_options(parser, "--speed", "--fault", "--board", "--seed")
     parser.add_argument(
@@ -39,7 +44,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="no faster than real time unless the graph that commands the plant keeps step",
     )
-    parser.add_argument("--duration", type=float, default=math.inf, metavar="S", help="plant time to run for")
+    parser.add_argument(
+        "--duration",
+        type=float,
+        default=math.inf,
+        metavar="S",
+        help="plant time to run for",
+    )
     parser.add_argument(
         "--tell",
         nargs=2,
@@ -60,15 +71,21 @@ def run(options: argparse.Namespace) -> int:
     if options.tell is not None:
         print(tell(*options.tell))
         return 0
-    from twinmatch.emulation.kit import VirtualKit  # noqa: PLC0415 — what sends a command needs no rig
+    from twinmatch.emulation.kit import VirtualKit  # noqa: PLC0415
     from twinmatch.emulation.plant_time import RigSettings  # noqa: PLC0415
     from twinmatch.emulation.virtual_rig import VirtualRig  # noqa: PLC0415
 
     faults = tuple(fault for text in options.fault for fault in parse_faults(text))
-    asked = {name: getattr(options, name) for name in ("speed", "in_step", "board", "seed", "duration")}
+    asked = {
+        name: getattr(options, name)
+        for name in ("speed", "in_step", "board", "seed", "duration")
+    }
     settings = RigSettings(faults=faults, **asked)
     stopping: list[int] = []
-    before = {number: signal.signal(number, lambda n, _: stopping.append(n)) for number in _STOPS}
+    before = {
+        number: signal.signal(number, lambda n, _: stopping.append(n))
+        for number in _STOPS
+    }
     try:
         with (VirtualKit if options.plant in KITS else VirtualRig)(settings) as rig:
             for number in _STOPS:
@@ -87,12 +104,16 @@ def _run(rig: VirtualPlantTime) -> int:
     print("ready", flush=True)
     try:
         rig.run(lambda: rig.request_stop() if _reader_gone() else None)
-    except TwinmatchError as error:  # a part of the rig was lost: not an error of the user
+    except TwinmatchError as error:
+        # a part of the rig was lost: not an error of the user
         print(f"twinmatch: {error}", file=sys.stderr)
         return EXIT_LOST
     wall, speed = rig.achieved()
     if not _reader_gone():
-        _say("ended", f"{rig.elapsed:.1f} s of plant time in {wall:.1f} s, {speed:.2f} times the wall clock")
+        _say(
+            "ended",
+            f"{rig.elapsed:.1f} s of plant time in {wall:.1f} s, {speed:.2f} times the wall clock",
+        )
     return 0
 
 
@@ -104,7 +125,10 @@ def _reader_gone() -> bool:
 
 
 def _say_fault(change: Change) -> None:
-    _say("fault", f"{change.kind} {'begins' if change.begins else 'ends'} at {change.time:.2f} s")
+    _say(
+        "fault",
+        f"{change.kind} {'begins' if change.begins else 'ends'} at {change.time:.2f} s",
+    )
 
 
 def _say(key: str, value: Any) -> None:

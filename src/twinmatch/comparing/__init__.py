@@ -14,7 +14,11 @@ nearest to all others, and `judge_uncertainty` gives the uncertainty of all this
 result, and `statements_of` says what it means for trust and faults.
 """
 
-from twinmatch.comparing.code_length import code_length, information_gain, two_part_length
+from twinmatch.comparing.code_length import (
+    code_length,
+    information_gain,
+    two_part_length,
+)
 from twinmatch.comparing.criteria import (
     OrderScore,
     akaike_weights,
@@ -29,9 +33,20 @@ from twinmatch.comparing.criteria import (
 from twinmatch.comparing.graph_symbol import GraphSymbol
 from twinmatch.comparing.margin import loop_controller, stability_margin
 from twinmatch.comparing.matrix_gap import matrix_margin, matrix_nu_gap
-from twinmatch.comparing.models import Candidate, Family, SimoModel, identify, twin_response
+from twinmatch.comparing.models import (
+    Candidate,
+    Family,
+    SimoModel,
+    identify,
+    twin_response,
+)
 from twinmatch.comparing.nu_gap import nu_gap, nu_gap_matrix
-from twinmatch.comparing.plant_gap import LoopConditions, plant_gap, plant_gaps, spans_of
+from twinmatch.comparing.plant_gap import (
+    LoopConditions,
+    plant_gap,
+    plant_gaps,
+    spans_of,
+)
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.comparing.scaling import Scaling, best_scaling
 from twinmatch.comparing.state_space import StateSpace

@@ -111,7 +111,9 @@ def minors(
                     p, e = multiply(high1[j, a], low1[j, a], high2[k, b], low2[k, b])
                     q, f = multiply(high1[k, a], low1[k, a], high2[j, b], low2[j, b])
                     p, e = add(p, e, -q, -f)
-                    high[row, a + b], low[row, a + b] = add(high[row, a + b], low[row, a + b], p, e)
+                    high[row, a + b], low[row, a + b] = add(
+                        high[row, a + b], low[row, a + b], p, e
+                    )
             row += 1
     return high, low
 
@@ -137,7 +139,9 @@ def value(row: FloatArray, x: float, above: bool) -> tuple[float, float]:
 
 
 @compiled
-def _square_and_slope(stack: FloatArray, x: float, weight: float, above: bool) -> tuple[float, float]:
+def _square_and_slope(
+    stack: FloatArray, x: float, weight: float, above: bool
+) -> tuple[float, float]:
     """Σ |weight·p|² over the rows and its derivative by t."""
     derivative = 2 if above else 1
     square = 0.0
@@ -190,8 +194,12 @@ def _exact_square(high: FloatArray, low: FloatArray, t: float, weight: float) ->
     square = 0.0
     for row in range(high.shape[0]):
         # the last coefficient belongs to x⁰, the last but one to x¹
-        constant_side = _horner(high[row, ::-1][::2][::-1], low[row, ::-1][::2][::-1], x)
-        other_side = _horner(high[row, ::-1][1::2][::-1], low[row, ::-1][1::2][::-1], x) * x
+        constant_side = _horner(
+            high[row, ::-1][::2][::-1], low[row, ::-1][::2][::-1], x
+        )
+        other_side = (
+            _horner(high[row, ::-1][1::2][::-1], low[row, ::-1][1::2][::-1], x) * x
+        )
         square += (constant_side * weight) ** 2 + (other_side * weight) ** 2
     return square
 
@@ -206,7 +214,10 @@ def exact_distance(
     """κ at t, to the last few bits, from double-double coefficients with powers of j folded in."""
     size1 = math.sqrt(_exact_square(pair1[0], pair1[1], t, 1.0))
     size2 = math.sqrt(_exact_square(pair2[0], pair2[1], t, 1.0))
-    return min(1.0, math.sqrt(_exact_square(pair_minors[0], pair_minors[1], t, 1 / size1 / size2)))
+    return min(
+        1.0,
+        math.sqrt(_exact_square(pair_minors[0], pair_minors[1], t, 1 / size1 / size2)),
+    )
 
 
 STEP = 0.25
@@ -224,7 +235,9 @@ MAX_HALVINGS = 20_000
 
 
 @compiled
-def frequency_grid(roots1: NDArray[np.complex128], roots2: NDArray[np.complex128]) -> FloatArray:
+def frequency_grid(
+    roots1: NDArray[np.complex128], roots2: NDArray[np.complex128]
+) -> FloatArray:
     """Nodes t, increasing, over the range of all poles; at least its two ends."""
     count = roots1.size + roots2.size
     if count == 0:
@@ -236,7 +249,8 @@ def frequency_grid(roots1: NDArray[np.complex128], roots2: NDArray[np.complex128
     for i in range(count):
         root = roots1[i] if i < roots1.size else roots2[i - roots1.size]
         height[i] = math.log(abs(root))
-        angle[i] = max(1e-14, math.atan2(root.real, abs(root.imag)))  # angle from the axis of frequencies
+        # angle from the axis of frequencies
+        angle[i] = max(1e-14, math.atan2(root.real, abs(root.imag)))
         low = min(low, height[i])
         high = max(high, height[i])
     nodes = [low - MARGIN]
@@ -273,7 +287,7 @@ def _cubic_top(f: float, f_end: float, slope: float, slope_end: float) -> float:
 
 
 @compiled(inside=True)
-def _put(  # noqa: PLR0917 (values in a row)
+def _put(  # noqa: PLR0917
     row: FloatArray, a: float, b: float, fa: float, fb: float, da: float, db: float
 ) -> None:
     row[0] = a

@@ -68,7 +68,9 @@ def code_length(values: ArrayLike, decimals: int) -> int:
         DiscriminationError: a value is not finite, or `decimals` is out of range.
     """
     if not 0 <= decimals <= MAX_DECIMALS:
-        raise DiscriminationError(f"code length: {decimals} decimals; give 0 to {MAX_DECIMALS}")
+        raise DiscriminationError(
+            f"code length: {decimals} decimals; give 0 to {MAX_DECIMALS}"
+        )
     table = np.array(values, dtype=np.float64).ravel()
     bad = np.flatnonzero(~np.isfinite(table))
     if bad.size:
@@ -147,7 +149,9 @@ def two_part_length(model_length: float, parameters: int, samples: int) -> float
 
 
 @compiled
-def _characters(table: FloatArray, decimals: int, scale: float) -> tuple[int, list[int]]:
+def _characters(
+    table: FloatArray, decimals: int, scale: float
+) -> tuple[int, list[int]]:
     """Characters of the numbers that exact arithmetic can round, and the places of the others."""
     total = 0
     exceptions = [0][:0]

@@ -28,7 +28,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinmatch.comparing.code_length import InformationGain, information_gain, two_part_length
+from twinmatch.comparing.code_length import (
+    InformationGain,
+    information_gain,
+    two_part_length,
+)
 from twinmatch.comparing.models import SimoModel, ahead, deviations, operating_level
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.fitting import BoxJenkins
@@ -46,7 +50,9 @@ def naic(loss: float, n_parameters: int, n_samples: int) -> float:
 
 def bic(loss: float, n_parameters: int, n_samples: int) -> float:
     """Bayesian criterion, N ln V + N (ln 2π + 1) + n_p ln N; raises as `naic`."""
-    likelihood = n_samples * (_log(loss, n_parameters, n_samples) + math.log(2 * math.pi) + 1)
+    likelihood = n_samples * (
+        _log(loss, n_parameters, n_samples) + math.log(2 * math.pi) + 1
+    )
     return likelihood + n_parameters * math.log(n_samples)
 
 
@@ -63,7 +69,9 @@ def _log(loss: float, n_parameters: int, n_samples: int) -> float:
 
 def _check(loss: float, n_parameters: int, n_samples: int) -> None:
     if not (math.isfinite(loss) and loss >= 0):
-        msg = f"criteria: the loss is {loss}; give a mean square, finite and not negative"
+        msg = (
+            f"criteria: the loss is {loss}; give a mean square, finite and not negative"
+        )
         raise DiscriminationError(msg)
     if n_samples < 1 or n_parameters < 0:
         msg = f"criteria: {n_parameters} parameters and {n_samples} samples; give at least 0 and 1"
@@ -91,7 +99,13 @@ class Criteria:
 
     @classmethod
     def of(
-        cls, gain: InformationGain, loss: float, *, parameters: int, coefficients: int, count: int
+        cls,
+        gain: InformationGain,
+        loss: float,
+        *,
+        parameters: int,
+        coefficients: int,
+        count: int,
     ) -> Criteria:
         """From gain and loss on `count` samples; the two-part length charges for `coefficients` of the
         model's `parameters`."""
@@ -137,7 +151,9 @@ class OrderScore:
     """Akaike weight of this order among those scored beside it, 0 to 1; NaN where not computed."""
 
 
-def score(model: SimoModel, window: Window, decimals: int = 2, *, absolute: float) -> OrderScore:
+def score(
+    model: SimoModel, window: Window, decimals: int = 2, *, absolute: float
+) -> OrderScore:
     """Judge a model on a measured window, whichever data it was identified on.
 
     Args:
@@ -159,8 +175,13 @@ def score(model: SimoModel, window: Window, decimals: int = 2, *, absolute: floa
 
 def choose_order(scores: Sequence[OrderScore]) -> str:
     """The order preferred by most criteria in total; of equals the lowest, by Occam's razor."""
-    best = [min(scores, key=lambda s: float(getattr(s.total, name))) for name in ("naic", "bic", "mdl")]
-    return common_order([s.order for s in (max(scores, key=lambda s: s.total.gain), *best)])
+    best = [
+        min(scores, key=lambda s: float(getattr(s.total, name)))
+        for name in ("naic", "bic", "mdl")
+    ]
+    return common_order(
+        [s.order for s in (max(scores, key=lambda s: s.total.gain), *best)]
+    )
 
 
 def common_order(chosen: Sequence[str]) -> str:
@@ -173,15 +194,23 @@ def common_order(chosen: Sequence[str]) -> str:
     return min(votes, key=lambda order: (-votes[order], order))
 
 
-def _criteria(model: BoxJenkins, r: FloatArray, output: FloatArray, offset: float, decimals: int) -> Criteria:
+def _criteria(
+    model: BoxJenkins, r: FloatArray, output: FloatArray, offset: float, decimals: int
+) -> Criteria:
     copied = len(model.F)
     simulated = model.simulate(r, outputs=output[:copied])
-    gain = information_gain(output + offset, simulated + offset, decimals=decimals, copied=copied)
+    gain = information_gain(
+        output + offset, simulated + offset, decimals=decimals, copied=copied
+    )
     errors = model.prediction_errors(r, output)
     loss = float(np.mean(errors**2))
     order = model.order
     return Criteria.of(
-        gain, loss, parameters=model.n_parameters, coefficients=order.nb + order.nf, count=len(output)
+        gain,
+        loss,
+        parameters=model.n_parameters,
+        coefficients=order.nb + order.nf,
+        count=len(output),
     )
 
 
@@ -203,7 +232,12 @@ def akaike_weights(criteria: ArrayLike) -> AkaikeWeights:
         DiscriminationError: no value, or one that is not a number or +∞.
     """
     values = np.asarray(criteria, dtype=np.float64)
-    if values.ndim != 1 or not values.size or np.isnan(values).any() or np.isposinf(values).any():
+    if (
+        values.ndim != 1
+        or not values.size
+        or np.isnan(values).any()
+        or np.isposinf(values).any()
+    ):
         msg = f"Akaike weights: the criteria are {np.asarray(criteria).tolist()}; give one number per model"
         raise DiscriminationError(msg)
     least = values.min()

@@ -57,14 +57,20 @@ class GraphSymbol:
     """Negated roots of the stable spectral factor of |d|² + |N|², so in the right half plane, (n,)."""
 
     def __post_init__(self) -> None:
-        column = without_unstable_common_factor(trim(self.column), discrete=bool(self.period))
+        column = without_unstable_common_factor(
+            trim(self.column), discrete=bool(self.period)
+        )
         high, low = split(column)
         object.__setattr__(self, "column", column)
         object.__setattr__(self, "coefficients", (high, low))
-        object.__setattr__(self, "signed", (with_powers_of_j(high), with_powers_of_j(low)))
+        object.__setattr__(
+            self, "signed", (with_powers_of_j(high), with_powers_of_j(low))
+        )
         object.__setattr__(self, "stack", with_derivatives(self.signed[0]))
         roots = spectral_roots(column)
-        if roots.size != high.shape[1] - 1 or not np.all(np.isfinite(roots) & (roots != 0)):
+        if roots.size != high.shape[1] - 1 or not np.all(
+            np.isfinite(roots) & (roots != 0)
+        ):
             msg = f"model: its dynamics {roots} are too far apart or from 1 rad/s; use another unit of time"
             raise DiscriminationError(msg)
         object.__setattr__(self, "spectral_roots", roots)
@@ -76,7 +82,10 @@ class GraphSymbol:
 
     @classmethod
     def of_polynomials(
-        cls, denominator: ArrayLike, numerators: Sequence[ArrayLike], period: float | bool | None
+        cls,
+        denominator: ArrayLike,
+        numerators: Sequence[ArrayLike],
+        period: float | bool | None,
     ) -> GraphSymbol:
         """From one denominator and m numerators, highest power of s or z first.
 
@@ -87,19 +96,25 @@ class GraphSymbol:
 
     @classmethod
     def of_transfer_functions(
-        cls, fractions: Sequence[tuple[ArrayLike, ArrayLike]], period: float | bool | None
+        cls,
+        fractions: Sequence[tuple[ArrayLike, ArrayLike]],
+        period: float | bool | None,
     ) -> GraphSymbol:
         """From (numerator, denominator) per output, highest power of s or z first; raises as above.
 
         Equal denominators are used once; the common denominator is the product of the different ones.
         """
         if not fractions:
-            raise DiscriminationError("model: it has no output; give at least one transfer function")
+            raise DiscriminationError(
+                "model: it has no output; give at least one transfer function"
+            )
         pairs = [(_ascending(n), _ascending(d)) for n, d in fractions]
         return cls(_exact_column(pairs, discrete=bool(period)), period)
 
     @classmethod
-    def of_fractions(cls, fractions: Sequence[tuple[ArrayLike, ArrayLike]], period: float) -> GraphSymbol:
+    def of_fractions(
+        cls, fractions: Sequence[tuple[ArrayLike, ArrayLike]], period: float
+    ) -> GraphSymbol:
         """From (B, F) per output in powers of z⁻¹, constant first, as identified; raises as above."""
         padded = []
         for pair in fractions:
@@ -110,7 +125,12 @@ class GraphSymbol:
 
     @classmethod
     def of_state_space(
-        cls, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float | bool | None
+        cls,
+        A: FloatArray,
+        B: FloatArray,
+        C: FloatArray,
+        D: FloatArray,
+        period: float | bool | None,
     ) -> GraphSymbol:
         """From matrices of shapes (n, n), (n, 1), (m, n), (m, 1), in exact arithmetic.
 
@@ -140,13 +160,19 @@ def graph_symbol(system: Any) -> GraphSymbol:
         raise DiscriminationError(msg)
     if isinstance(system, StateSpace):
         any_period = None if not len(system.A) else 0.0
-        return GraphSymbol.of_state_space(system.A, system.B, system.C, system.D, system.period or any_period)
+        return GraphSymbol.of_state_space(
+            system.A, system.B, system.C, system.D, system.period or any_period
+        )
     if hasattr(system, "A"):
         period = _time_base(system, dynamic=len(system.A) > 0)
-        return GraphSymbol.of_state_space(system.A, system.B, system.C, system.D, period)
+        return GraphSymbol.of_state_space(
+            system.A, system.B, system.C, system.D, period
+        )
     fractions = list(zip(system.num_array[:, 0], system.den_array[:, 0], strict=True))
     dynamic = any(np.size(p) > 1 for pair in fractions for p in pair)
-    return GraphSymbol.of_transfer_functions(fractions, _time_base(system, dynamic=dynamic))
+    return GraphSymbol.of_transfer_functions(
+        fractions, _time_base(system, dynamic=dynamic)
+    )
 
 
 def _time_base(system: Any, *, dynamic: bool) -> float | bool | None:
@@ -171,7 +197,9 @@ def _pad(coefficients: FloatArray, width: int) -> FloatArray:
     return filled
 
 
-def _exact_column(pairs: list[tuple[FloatArray, FloatArray]], *, discrete: bool) -> Column:
+def _exact_column(
+    pairs: list[tuple[FloatArray, FloatArray]], *, discrete: bool
+) -> Column:
     """Column [d; N] over the product of the distinct denominators."""
     denominators: list[FloatArray] = []
     places = []
@@ -192,7 +220,9 @@ def _exact_column(pairs: list[tuple[FloatArray, FloatArray]], *, discrete: bool)
     for k, numerator in zip(places, above, strict=True):
         column.append(product([numerator, *below[:k], *below[k + 1 :]]))
     width = max(len(polynomial) for polynomial in column)
-    column = trim_top([polynomial + [0] * (width - len(polynomial)) for polynomial in column])
+    column = trim_top(
+        [polynomial + [0] * (width - len(polynomial)) for polynomial in column]
+    )
     return to_half_plane(column) if discrete else column
 
 

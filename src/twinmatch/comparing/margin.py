@@ -65,7 +65,11 @@ def stability_margin(plant: Any, controller: Any) -> float:
     if inputs_of(plant) > 1:
         return matrix_margin(StateSpace.of(plant), StateSpace.of(controller))
     g = graph_symbol(plant)
-    k = controller if isinstance(controller, GraphSymbol) else graph_symbol(_transpose(controller))
+    k = (
+        controller
+        if isinstance(controller, GraphSymbol)
+        else graph_symbol(_transpose(controller))
+    )
     if g.outputs != k.outputs:
         raise DiscriminationError(
             f"stability margin: the plant has {g.outputs} outputs, the controller {k.outputs} inputs; "
@@ -77,7 +81,9 @@ def stability_margin(plant: Any, controller: Any) -> float:
     if not is_hurwitz(characteristic):
         return 0.0
     inner = split([characteristic], scale_of(g.column) * scale_of(k.column))
-    return _smallest(g.coefficients, k.coefficients, inner, spectral_roots([characteristic]))
+    return _smallest(
+        g.coefficients, k.coefficients, inner, spectral_roots([characteristic])
+    )
 
 
 def _transpose(controller: Any) -> Any:
@@ -114,15 +120,23 @@ def _smallest(
         chordal.with_derivatives(products),
         grid,
     )
-    signed_plant = (chordal.with_powers_of_j(plant[0]), chordal.with_powers_of_j(plant[1]))
-    signed_controller = (chordal.with_powers_of_j(controller[0]), chordal.with_powers_of_j(controller[1]))
+    signed_plant = (
+        chordal.with_powers_of_j(plant[0]),
+        chordal.with_powers_of_j(plant[1]),
+    )
+    signed_controller = (
+        chordal.with_powers_of_j(controller[0]),
+        chordal.with_powers_of_j(controller[1]),
+    )
     return chordal.exact_distance(signed_plant, signed_controller, (high, low), place)
 
 
 @compiled
 def _products(rows1: FloatArray, rows2: FloatArray) -> FloatArray:
     """Every polynomial of the one times every one of the other, shape (m1 m2, n1 + n2 + 1)."""
-    products = np.zeros((rows1.shape[0] * rows2.shape[0], rows1.shape[1] + rows2.shape[1] - 1))
+    products = np.zeros(
+        (rows1.shape[0] * rows2.shape[0], rows1.shape[1] + rows2.shape[1] - 1)
+    )
     for i in range(rows1.shape[0]):
         for j in range(rows2.shape[0]):
             for a in range(rows1.shape[1]):
@@ -177,7 +191,10 @@ def loop_controller(gains: PidGains, *, scales: Scales | None = None) -> GraphSy
     numerator: FloatArray = np.zeros(1)
     denominator: FloatArray = np.ones(1)
     for part_numerator, part_denominator in parts:
-        total = np.polyadd(np.convolve(numerator, part_denominator), np.convolve(part_numerator, denominator))
+        total = np.polyadd(
+            np.convolve(numerator, part_denominator),
+            np.convolve(part_numerator, denominator),
+        )
         numerator = np.asarray(total, dtype=np.float64)
         denominator = np.convolve(denominator, part_denominator)
     scaled = numerator * float(np.divide(scales.output, scales.input))

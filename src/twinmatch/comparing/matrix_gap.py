@@ -75,7 +75,9 @@ def matrix_nu_gap(first: StateSpace, second: StateSpace) -> float:
             value.
     """
     if first.D.shape != second.D.shape:
-        sizes = [f"{s.n_inputs} inputs and {s.n_outputs} outputs" for s in (first, second)]
+        sizes = [
+            f"{s.n_inputs} inputs and {s.n_outputs} outputs" for s in (first, second)
+        ]
         raise DiscriminationError(
             f"ν-gap: one model has {sizes[0]}, the other {sizes[1]}; they must be equal"
         )
@@ -83,17 +85,25 @@ def matrix_nu_gap(first: StateSpace, second: StateSpace) -> float:
     loop = closed_loop(left_system, right_system.adjoint)
     if loop is None:
         return 1.0
-    poles = [np.linalg.eigvals(system.A) for system in (left_system, right_system, loop)]
+    poles = [
+        np.linalg.eigvals(system.A) for system in (left_system, right_system, loop)
+    ]
     winds = int(np.sum(poles[2].real < 0)) != len(left_system.A)
 
     def gaps(frequencies: FloatArray) -> FloatArray:
         frequencies_beside = beside(frequencies, np.concatenate(poles[:2]))
-        return gaps_of(left_system.response(frequencies_beside), right_system.response(frequencies_beside))
+        return gaps_of(
+            left_system.response(frequencies_beside),
+            right_system.response(frequencies_beside),
+        )
 
     if winds and gaps(frequencies_of(poles[2])).any():
         return 1.0
     largest = _largest(
-        gaps, lambda level: _level_zeros(left_system, right_system, level), np.concatenate(poles), ONE
+        gaps,
+        lambda level: _level_zeros(left_system, right_system, level),
+        np.concatenate(poles),
+        ONE,
     )
     return 1.0 if largest >= ONE else largest
 
@@ -127,12 +137,16 @@ def matrix_margin(plant: StateSpace, controller: StateSpace) -> float:
     return 1 / _largest(sizes, lambda level: _norm_zeros(loop, level), poles, np.inf)
 
 
-def gaps_of(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> FloatArray:
+def gaps_of(
+    first: NDArray[np.complex128], second: NDArray[np.complex128]
+) -> FloatArray:
     """Gaps between responses at the same frequencies, shapes (frequencies, p, m) → (frequencies,)."""
     right_factor = _factor(first)
     left_factor = _factor(second.conj().swapaxes(1, 2))
     half = np.linalg.solve(left_factor.conj().swapaxes(1, 2), first - second)
-    whole = np.linalg.solve(right_factor.conj().swapaxes(1, 2), half.conj().swapaxes(1, 2))
+    whole = np.linalg.solve(
+        right_factor.conj().swapaxes(1, 2), half.conj().swapaxes(1, 2)
+    )
     return np.asarray(np.minimum(1.0, sizes_of(whole)))
 
 
@@ -174,7 +188,9 @@ def closed_loop(plant: StateSpace, controller: StateSpace) -> StateSpace | None:
     q = len(controller.A)
     # Each signal as rows over the states of plant and controller, the disturbance d and the noise n.
     x, xc, disturbance, noise = np.split(np.eye(n + q + m + p), np.cumsum([n, q, m]))
-    without_direct = disturbance - controller.D @ (plant.C @ x + noise) - controller.C @ xc
+    without_direct = (
+        disturbance - controller.D @ (plant.C @ x + noise) - controller.C @ xc
+    )
     u = np.linalg.solve(direct, without_direct)
     y = plant.C @ x + plant.D @ u
     x_rate = plant.A @ x + plant.B @ u
@@ -183,7 +199,10 @@ def closed_loop(plant: StateSpace, controller: StateSpace) -> StateSpace | None:
     states = slice(n + q)
     signals = slice(n + q, None)
     return StateSpace(
-        rows[states, states], rows[states, signals], rows[signals, states], rows[signals, signals]
+        rows[states, states],
+        rows[states, signals],
+        rows[signals, states],
+        rows[signals, signals],
     )
 
 
@@ -194,7 +213,9 @@ def _level_zeros(first: StateSpace, second: StateSpace, level: float) -> Matrix:
     p, m = first.D.shape
     n1 = len(first.A)
     n2 = len(second.A)
-    x1, z1, x2, z2, v, w = np.split(np.eye(2 * (n1 + n2) + p + m), np.cumsum([n1, n1, n2, n2, p]))
+    x1, z1, x2, z2, v, w = np.split(
+        np.eye(2 * (n1 + n2) + p + m), np.cumsum([n1, n1, n2, n2, p])
+    )
     through1 = first.C @ x1 + first.D @ w
     into1 = through1 + v / level
     out2 = back2.C @ z2 + back2.D @ v
@@ -218,7 +239,11 @@ def _norm_zeros(system: StateSpace, level: float) -> Matrix:
     back = system.adjoint
     x, z, w = np.split(np.eye(2 * n + m), [n, 2 * n])
     y = (system.C @ x + system.D @ w) / level
-    rows = [system.A @ x + system.B @ w, back.A @ z + back.B @ y, back.C @ z + back.D @ y - level * w]
+    rows = [
+        system.A @ x + system.B @ w,
+        back.A @ z + back.B @ y,
+        back.C @ z + back.D @ y - level * w,
+    ]
     return _zeros(np.concatenate(rows), 2 * n)
 
 
@@ -242,19 +267,26 @@ def _largest(
         found_values = values(tried)
         if found_values.max() <= best * (1 + ABOVE):
             break
-        best, place = _polish(values, float(found_values.max()), float(tried[found_values.argmax()]))
+        best, place = _polish(
+            values, float(found_values.max()), float(tried[found_values.argmax()])
+        )
         if best >= ceiling:
             break
         crossings = zeros(best * (1 + ABOVE))
-        crossings = np.sort(crossings.imag[np.abs(crossings.real) <= NEAR_AXIS * np.abs(crossings)])
-        tried = np.concatenate([[place], crossings, 0.5 * (crossings[1:] + crossings[:-1])])
+        crossings = np.sort(
+            crossings.imag[np.abs(crossings.real) <= NEAR_AXIS * np.abs(crossings)]
+        )
+        tried = np.concatenate(
+            [[place], crossings, 0.5 * (crossings[1:] + crossings[:-1])]
+        )
     return best
 
 
 def frequencies_of(poles: Matrix) -> FloatArray:
     """Both ends of the axis, and from a decade below the slowest pole to a decade above the fastest."""
     sizes = np.abs(poles)
-    sizes = sizes[sizes > ON_AXIS * max(sizes.max(initial=0.0), 1.0)]  # several at 0 are rounded apart
+    # several at 0 are rounded apart
+    sizes = sizes[sizes > ON_AXIS * max(sizes.max(initial=0.0), 1.0)]
     if not sizes.size:
         sizes = np.ones(1)
     low = np.log10(sizes.min()) - 1
@@ -264,7 +296,9 @@ def frequencies_of(poles: Matrix) -> FloatArray:
     return some if not np.iscomplexobj(poles) else np.concatenate([some, -some])
 
 
-def _polish(values: Callable[[FloatArray], FloatArray], best: float, place: float) -> tuple[float, float]:
+def _polish(
+    values: Callable[[FloatArray], FloatArray], best: float, place: float
+) -> tuple[float, float]:
     """The top of the peak next to a place, and where it is: parabolas through three points, ever closer."""
     middle = place
     width = _POLISHING.first * abs(place)
@@ -278,7 +312,9 @@ def _polish(values: Callable[[FloatArray], FloatArray], best: float, place: floa
             place = float(tried[found_values.argmax()])
         before, centre, after = found_values
         bend = before - 2 * centre + after
-        step = 0.5 * (before - after) / bend if bend < 0 else 2 * np.sign(after - before)
+        step = (
+            0.5 * (before - after) / bend if bend < 0 else 2 * np.sign(after - before)
+        )
         middle += float(np.clip(step, -2.0, 2.0)) * width
         width *= _POLISHING.closer if abs(step) < 1 else 1.0
     return best, place

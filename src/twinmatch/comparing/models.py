@@ -52,12 +52,18 @@ class SimoModel:
         """Graph symbol for the ν-gap: of [y/r; u/r], y and u in their units, as in the paper; or of y/u,
         scaled."""
         if self.u is None:
-            return GraphSymbol.of_fractions([(self.scale * self.y.B, self.y.F)], period=self.y.period)
+            return GraphSymbol.of_fractions(
+                [(self.scale * self.y.B, self.y.F)], period=self.y.period
+            )
         input_ = self.u.B[1:]  # without the delay that `ahead` put in
-        return GraphSymbol.of_fractions([(self.y.B, self.y.F), (input_, self.u.F)], period=self.y.period)
+        return GraphSymbol.of_fractions(
+            [(self.y.B, self.y.F), (input_, self.u.F)], period=self.y.period
+        )
 
 
-def operating_level(window: Window, *, driven: bool = False, lead: int = LEAD) -> OperatingLevel:
+def operating_level(
+    window: Window, *, driven: bool = False, lead: int = LEAD
+) -> OperatingLevel:
     """The level to subtract so that the window begins at zero.
 
     For reference and output it is the set-point before the first step; for the input the mean of the last
@@ -73,10 +79,14 @@ def operating_level(window: Window, *, driven: bool = False, lead: int = LEAD) -
         newest_before = window.input[max(0, step - lead) : step]
         return OperatingLevel(float(moving[0]), float(np.mean(newest_before)))
     before = slice(step - lead, step) if step >= lead else slice(None)
-    return OperatingLevel(float(np.mean(window.output[before])), float(np.mean(window.input[before])))
+    return OperatingLevel(
+        float(np.mean(window.output[before])), float(np.mean(window.input[before]))
+    )
 
 
-def deviations(window: Window, level: OperatingLevel) -> tuple[FloatArray, FloatArray, FloatArray]:
+def deviations(
+    window: Window, level: OperatingLevel
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Reference, output and input of a window as deviations from `level`, shape (N,) each."""
     return (
         window.reference - level.output,
@@ -96,7 +106,11 @@ def ahead(reference: FloatArray) -> FloatArray:
 
 
 def identify(
-    window: Window, orders: Sequence[str] = ORDERS, *, scale: float | None = None, lead: int = LEAD
+    window: Window,
+    orders: Sequence[str] = ORDERS,
+    *,
+    scale: float | None = None,
+    lead: int = LEAD,
 ) -> tuple[SimoModel, ...]:
     """Box–Jenkins models of every order from a window's set-point to its output and input.
 
@@ -111,21 +125,34 @@ def identify(
     Raises:
         FittingError: set-point or input does not move, or there are too few samples.
     """
-    r, y, u = deviations(window, operating_level(window, driven=scale is not None, lead=lead))
+    r, y, u = deviations(
+        window, operating_level(window, driven=scale is not None, lead=lead)
+    )
     period = window.period
     if scale is not None:
         ladder = estimate_ladder(u, y, orders, hops=0, period=period)
-        return tuple(SimoModel(order, ladder[order], None, scale, lead) for order in orders)
+        return tuple(
+            SimoModel(order, ladder[order], None, scale, lead) for order in orders
+        )
     # In parallel: almost all of the work is compiled code, which releases the GIL, and both are independent.
     with ThreadPoolExecutor(1) as executor:
-        future = executor.submit(estimate_ladder, ahead(r), u, orders, hops=0, period=period)
+        future = executor.submit(
+            estimate_ladder, ahead(r), u, orders, hops=0, period=period
+        )
         y_models = estimate_ladder(r, y, orders, hops=0, period=period)
     u_models = future.result()
-    return tuple(SimoModel(order, y_models[order], u_models[order], lead=lead) for order in orders)
+    return tuple(
+        SimoModel(order, y_models[order], u_models[order], lead=lead)
+        for order in orders
+    )
 
 
 def twin_response(
-    parameters: Parameters, window: Window, law: Law | None, sensor: Sensor | None, seed: int
+    parameters: Parameters,
+    window: Window,
+    law: Law | None,
+    sensor: Sensor | None,
+    seed: int,
 ) -> Window:
     """Simulate the twin on a window, in closed loop under its reference, or driven by its input without
     a law, with the sensor.
@@ -134,7 +161,9 @@ def twin_response(
     """
     response = simulate_window(parameters, window, law=law, sensor=sensor, seed=seed)
     return replace(
-        window.part(window.first + SKIPPED, window.last), outputs=response.outputs, inputs=response.inputs
+        window.part(window.first + SKIPPED, window.last),
+        outputs=response.outputs,
+        inputs=response.inputs,
     )
 
 
@@ -163,7 +192,11 @@ class Candidate:
     @property
     def samples(self) -> tuple[int, int]:
         """First and last sample to which it was fitted; (0, -1) if it was given."""
-        return (self.window.first, self.window.last) if self.window is not None else (0, -1)
+        return (
+            (self.window.first, self.window.last)
+            if self.window is not None
+            else (0, -1)
+        )
 
     @property
     def known_covariance(self) -> FloatArray | None:
@@ -200,7 +233,12 @@ class Family:
     @property
     def candidates(self) -> tuple[Candidate, ...]:
         """The candidates in the order of their operating points."""
-        return tuple(sorted(self._candidates, key=lambda c: (point_values(c.operating_point), c.name)))
+        return tuple(
+            sorted(
+                self._candidates,
+                key=lambda c: (point_values(c.operating_point), c.name),
+            )
+        )
 
     def standing_at(self, operating_point: OperatingPoint) -> Candidate | None:
         """The candidate whose regime contains this operating point, if any."""
@@ -208,13 +246,21 @@ class Family:
         for candidate in self._candidates:
             apart = np.abs(np.subtract(candidate.operating_point, operating_point))
             if (apart < np.divide(self.regime_width, 2)).all():
-                near.append((float(np.max(apart / self.regime_width)), candidate.name, candidate))
+                near.append(
+                    (
+                        float(np.max(apart / self.regime_width)),
+                        candidate.name,
+                        candidate,
+                    )
+                )
         return min(near, key=itemgetter(0, 1))[2] if near else None
 
     def admit(self, candidate: Candidate) -> Candidate | None:
         """Add a candidate; return the one it replaces, if any."""
         namesakes = [c for c in self._candidates if c.name == candidate.name]
-        leaving = namesakes[0] if namesakes else self.standing_at(candidate.operating_point)
+        leaving = (
+            namesakes[0] if namesakes else self.standing_at(candidate.operating_point)
+        )
         if leaving is None and len(self._candidates) >= self.most:
             leaving = self._candidates[0]
         if leaving is not None:

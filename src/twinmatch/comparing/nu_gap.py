@@ -74,11 +74,20 @@ def inner_product(
     for k in range(signed1.shape[0]):
         real1, imaginary1 = value(signed1[k], x, above)
         real2, imaginary2 = value(signed2[k], x, above)
-        inner += complex(real1 * real2 + imaginary1 * imaginary2, real2 * imaginary1 - real1 * imaginary2)
+        inner += complex(
+            real1 * real2 + imaginary1 * imaginary2,
+            real2 * imaginary1 - real1 * imaginary2,
+        )
         size1 += real1 * real1 + imaginary1 * imaginary1
         size2 += real2 * real2 + imaginary2 * imaginary2
     smooth = _direction(roots1, t).conjugate() * _direction(roots2, t)
-    return inner * smooth * (1 / abs(smooth)) * (1 / math.sqrt(size1)) * (1 / math.sqrt(size2))
+    return (
+        inner
+        * smooth
+        * (1 / abs(smooth))
+        * (1 / math.sqrt(size1))
+        * (1 / math.sqrt(size2))
+    )
 
 
 @compiled
@@ -116,7 +125,10 @@ def turns(
             middle = 0.5 * (low_node + high_node)
             c = inner_product(signed1, signed2, roots1, roots2, middle)
             bend = CURVATURE * abs(c - 0.5 * (c_left + c_right))
-            if min(_clearance(c_left, c), _clearance(c, c_right)) > bend or waiting > DEPTH:
+            if (
+                min(_clearance(c_left, c), _clearance(c, c_right)) > bend
+                or waiting > DEPTH
+            ):
                 for end in (c, c_right):
                     ratio = end * c_left.conjugate()
                     total += math.atan2(ratio.imag, ratio.real)
@@ -214,7 +226,9 @@ def _compare(  # noqa: PLR0917
     high = chordal.with_powers_of_j(high)
     low = chordal.with_powers_of_j(low)
     grid = chordal.frequency_grid(roots1, roots2)
-    square, place = chordal.highest(stack1, stack2, chordal.with_derivatives(high), grid)
+    square, place = chordal.highest(
+        stack1, stack2, chordal.with_derivatives(high), grid
+    )
     if square == 0.0:  # one model is a multiple of the other, term by term
         return 0.0, 0.0
     if -math.inf < place < math.inf:

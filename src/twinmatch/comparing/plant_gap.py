@@ -80,7 +80,9 @@ class LoopConditions(NamedTuple):
 
 
 @lru_cache(maxsize=1024)  # for the response and for the graph symbol
-def linearised_in_loop(parameters: Parameters, set_point: OperatingPoint, loop: LoopConditions) -> Linear:
+def linearised_in_loop(
+    parameters: Parameters, set_point: OperatingPoint, loop: LoopConditions
+) -> Linear:
     """Linearise the plant where its loop holds it, in the units of output and input.
 
     Raises:
@@ -91,18 +93,28 @@ def linearised_in_loop(parameters: Parameters, set_point: OperatingPoint, loop: 
         return linearised(parameters, set_point, loop.period)
     row = np.array(set_point, dtype=np.float64, ndmin=1)
     run = simulate_closed_loop(
-        parameters, np.tile(row, (loop.samples, 1)), states=begin(parameters, row), law=loop.law
+        parameters,
+        np.tile(row, (loop.samples, 1)),
+        states=begin(parameters, row),
+        law=loop.law,
     )
     states = run.states[-2]
     inputs = run.inputs[-1]
     is_finite = finite(np.append(states, inputs))
-    linear = linearised_at(parameters, states, inputs, loop.law.period) if is_finite else None
+    linear = (
+        linearised_at(parameters, states, inputs, loop.law.period)
+        if is_finite
+        else None
+    )
     if linear is None or not all(map(finite, linear[:3])):
         model = parameters.model
         in_words = " and ".join(
-            f"{y:g} {output.unit}" for y, output in zip(row, model.plant.outputs.values(), strict=True)
+            f"{y:g} {output.unit}"
+            for y, output in zip(row, model.plant.outputs.values(), strict=True)
         )
-        raise DiscriminationError(f"ν-gap: the loop of {model.title} does not hold it at {in_words}")
+        raise DiscriminationError(
+            f"ν-gap: the loop of {model.title} does not hold it at {in_words}"
+        )
     return linear
 
 
@@ -118,12 +130,17 @@ def symbol_in_loop(
     a, b, c, period = linear[:4]
     if len(c) > 1 or b.shape[1] > 1:
         return StateSpace.of(linear).scaled(loop.scales.output, loop.scales.input)
-    return GraphSymbol.of_state_space(a, b, c * loop.scales.ratio, np.zeros((1, 1)), period)
+    return GraphSymbol.of_state_space(
+        a, b, c * loop.scales.ratio, np.zeros((1, 1)), period
+    )
 
 
 @lru_cache(maxsize=1024)
 def response_slopes(
-    parameters: Parameters, free: tuple[str, ...], set_point: OperatingPoint, loop: LoopConditions
+    parameters: Parameters,
+    free: tuple[str, ...],
+    set_point: OperatingPoint,
+    loop: LoopConditions,
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Frequency response of that plant at `ANGLES`, scaled, and its derivatives with respect to `free`.
 
@@ -207,7 +224,9 @@ def plant_gaps(
     left_out = []
     for point in sorted(set(points), key=point_values):
         try:
-            rows.append(_gaps_between([symbol_in_loop(twin, point, loop) for twin in twins]))
+            rows.append(
+                _gaps_between([symbol_in_loop(twin, point, loop) for twin in twins])
+            )
         except UndefinedError as error:
             left_out.append(f"at {point} {error}")
         except TwinmatchError as error:
@@ -233,7 +252,10 @@ def _gap(first: GraphSymbol | StateSpace, second: GraphSymbol | StateSpace) -> f
 
 
 def plant_gap(
-    one: Parameters, other: Parameters, points: Sequence[OperatingPoint], loop: LoopConditions
+    one: Parameters,
+    other: Parameters,
+    points: Sequence[OperatingPoint],
+    loop: LoopConditions,
 ) -> float:
     """The largest ν-gap between the plants of two twins over some operating points."""
     return float(plant_gaps((one, other), points, loop).matrix[0, 1])

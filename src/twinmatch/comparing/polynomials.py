@@ -71,7 +71,11 @@ def product(factors: Iterable[Polynomial]) -> Polynomial:
 def trim(column: Column) -> Column:
     """Remove the highest and lowest powers that no polynomial has: common roots at ∞ and at 0."""
     used = _used_powers(column)
-    return [polynomial[used[0] : used[-1] + 1] for polynomial in column] if used else column
+    return (
+        [polynomial[used[0] : used[-1] + 1] for polynomial in column]
+        if used
+        else column
+    )
 
 
 def trim_top(column: Column) -> Column:
@@ -82,7 +86,11 @@ def trim_top(column: Column) -> Column:
 
 def _used_powers(column: Column) -> list[int]:
     """Powers of which some polynomial has a coefficient."""
-    return [k for k, coefficients in enumerate(zip(*column, strict=True)) if any(coefficients)]
+    return [
+        k
+        for k, coefficients in enumerate(zip(*column, strict=True))
+        if any(coefficients)
+    ]
 
 
 def to_half_plane(column: Column) -> Column:
@@ -173,7 +181,9 @@ MAX_STEPS = 500
 def roots_of_even_part(polynomial: Polynomial) -> NDArray[np.complex128]:
     """Roots in Ω² of a polynomial that is positive for real Ω; those near the real axis refined."""
     high, _ = split([polynomial])
-    roots: NDArray[np.complex128] = np.asarray(np.roots(high[0, ::-1]), dtype=np.complex128)
+    roots: NDArray[np.complex128] = np.asarray(
+        np.roots(high[0, ::-1]), dtype=np.complex128
+    )
     if np.any((roots.real > 0) & (np.abs(roots.imag) < NEAR * np.abs(roots))):
         return _refine_roots(polynomial)
     return roots
@@ -181,10 +191,14 @@ def roots_of_even_part(polynomial: Polynomial) -> NDArray[np.complex128]:
 
 def _refine_roots(polynomial: Polynomial) -> NDArray[np.complex128]:
     """Roots with 50 digits; those of a power of a factor are computed once, as they would not converge."""
-    from sympy import Poly, Symbol  # noqa: PLC0415 — slow, and few models need it
+    from sympy import Poly, Symbol  # noqa: PLC0415
 
     _, factors = Poly(polynomial[::-1], Symbol("x")).sqf_list()
-    roots = [root for factor, power in factors for root in factor.nroots(50, maxsteps=MAX_STEPS) * power]
+    roots = [
+        root
+        for factor, power in factors
+        for root in factor.nroots(50, maxsteps=MAX_STEPS) * power
+    ]
     return np.array([complex(root) for root in roots])
 
 
@@ -206,7 +220,10 @@ def column_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Col
     # with s = σ/scale, σI − a has integer entries
     characteristic, adjugate_b = _faddeev_leverrier(a, b)
     powers = [scale**k for k in range(order + 1)]
-    scaled = [power * coefficient for power, coefficient in zip(powers, characteristic, strict=True)]
+    scaled = [
+        power * coefficient
+        for power, coefficient in zip(powers, characteristic, strict=True)
+    ]
     column = [[scale * coefficient for coefficient in scaled]]
     for row, direct in zip(c, d, strict=True):
         numerator = [direct * coefficient for coefficient in scaled]
@@ -221,7 +238,9 @@ def _faddeev_leverrier(a: Any, b: Any) -> tuple[list[int], list[Any]]:
     order = len(a)
     characteristic = [0] * order + [1]
     adjugate_b: list[Any] = [None] * order
-    identity = np.array([[int(i == j) for j in range(order)] for i in range(order)], dtype=object)
+    identity = np.array(
+        [[int(i == j) for j in range(order)] for i in range(order)], dtype=object
+    )
     m = identity
     for k in range(1, order + 1):
         adjugate_b[order - k] = m @ b
@@ -236,7 +255,9 @@ def _integers(matrix: FloatArray) -> tuple[Any, int]:
     if not np.isfinite(matrix).all():
         msg = f"model: its numbers {np.asarray(matrix).tolist()} are not all finite; it cannot be compared"
         raise DiscriminationError(msg)
-    ratios: Sequence[tuple[int, int]] = [float(x).as_integer_ratio() for x in np.ravel(matrix)]
+    ratios: Sequence[tuple[int, int]] = [
+        float(x).as_integer_ratio() for x in np.ravel(matrix)
+    ]
     scale = max((d for _, d in ratios), default=1)
     whole = np.empty(len(ratios), dtype=object)
     whole[:] = [n * (scale // d) for n, d in ratios]
@@ -279,7 +300,11 @@ def without_unstable_common_factor(column: Column, *, discrete: bool) -> Column:
     if not _shares_unstable_root(rows):
         return column
     reduced = _cofactors(rows)
-    return column if reduced is None else trim(exact(list(reduced / scale ** np.arange(reduced.shape[1]))))
+    return (
+        column
+        if reduced is None
+        else trim(exact(list(reduced / scale ** np.arange(reduced.shape[1]))))
+    )
 
 
 def _frequency(rows: FloatArray) -> float:
@@ -308,25 +333,33 @@ def _cofactors(rows: FloatArray) -> FloatArray | None:
     """Quotients by the greatest common factor, or None if no factor is common to within rounding."""
     degree = rows.shape[1] - 1
     singular = np.linalg.svd(_proportionality(rows, degree - 1), compute_uv=False)
-    common = rows.shape[0] * degree - int(np.sum(singular > _COMMON.singular * singular[0]))
+    common = rows.shape[0] * degree - int(
+        np.sum(singular > _COMMON.singular * singular[0])
+    )
     for count in range(min(common, degree), 0, -1):
         _, _, right = np.linalg.svd(_proportionality(rows, degree - count))
-        quotients, residual = _refine_quotients(rows, right[-1].reshape(rows.shape[0], -1))
+        quotients, residual = _refine_quotients(
+            rows, right[-1].reshape(rows.shape[0], -1)
+        )
         if residual <= _COMMON.rounding:
             return quotients
     return None
 
 
-def _refine_quotients(rows: FloatArray, quotients: FloatArray) -> tuple[FloatArray, float]:
+def _refine_quotients(
+    rows: FloatArray, quotients: FloatArray
+) -> tuple[FloatArray, float]:
     """Quotients after Gauss–Newton steps on rows = factor·quotients, and the largest residual."""
-    from scipy.linalg import block_diag  # noqa: PLC0415 — a tenth of a second that few models need
+    from scipy.linalg import block_diag  # noqa: PLC0415
 
     count, width = quotients.shape
     degree = rows.shape[1] - width
     products = np.vstack([_product_matrix(q, degree) for q in quotients])
     factor = _least_squares(products, rows.ravel())
     for _ in range(_COMMON.steps):
-        slopes = np.hstack([products, block_diag(*[_product_matrix(factor, width - 1)] * count)])
+        slopes = np.hstack(
+            [products, block_diag(*[_product_matrix(factor, width - 1)] * count)]
+        )
         step = _least_squares(slopes, rows.ravel() - products @ factor)
         factor = factor + step[: degree + 1]
         quotients = quotients + step[degree + 1 :].reshape(count, width)

@@ -102,14 +102,18 @@ def best_scaling(
         DiscriminationError: periods or numbers of signals differ, or a gap or margin has no value.
     """
     p = plant.n_outputs
-    begin = np.concatenate([_units_or_ones(outputs, p), _units_or_ones(inputs, plant.n_inputs)])
+    begin = np.concatenate(
+        [_units_or_ones(outputs, p), _units_or_ones(inputs, plant.n_inputs)]
+    )
 
     def in_units(units: FloatArray) -> Scaling:
         y = units[:p]
         u = units[p:]
         scaled = plant.scaled(y, u)
         gaps = [matrix_nu_gap(scaled, member.scaled(y, u)) for member in family]
-        return Scaling(y, u, matrix_margin(scaled, controller.scaled(u, y)), max(gaps, default=0.0))
+        return Scaling(
+            y, u, matrix_margin(scaled, controller.scaled(u, y)), max(gaps, default=0.0)
+        )
 
     first = in_units(begin)
     if first.margin == 0 or not family:
@@ -119,7 +123,9 @@ def best_scaling(
 
 
 def _units_or_ones(units: ArrayLike | None, count: int) -> FloatArray:
-    return np.ones(count) if units is None else np.array(units, dtype=np.float64, ndmin=1)
+    return (
+        np.ones(count) if units is None else np.array(units, dtype=np.float64, ndmin=1)
+    )
 
 
 def _claim(margin: float, gap: float) -> float:
@@ -133,13 +139,18 @@ def _claim_in(
 ) -> Callable[[FloatArray], float]:
     """The claim in given units, from responses on a grid of frequencies."""
     nominal, law, *members = half_plane(plant, controller, *family)
-    loop = cast("StateSpace", closed_loop(nominal, law))  # well posed, since the margin is not 0
-    poles = np.concatenate([np.linalg.eigvals(system.A) for system in (nominal, *members)])
+    # well posed, since the margin is not 0
+    loop = cast("StateSpace", closed_loop(nominal, law))
+    poles = np.concatenate(
+        [np.linalg.eigvals(system.A) for system in (nominal, *members)]
+    )
     frequencies = beside(frequencies_of(np.linalg.eigvals(loop.A)), poles)
     p = plant.n_outputs
     loop_responses = loop.response(frequencies)
     nominal_responses = np.tile(nominal.response(frequencies), (len(members), 1, 1))
-    member_responses = np.concatenate([member.response(frequencies) for member in members])
+    member_responses = np.concatenate(
+        [member.response(frequencies) for member in members]
+    )
 
     def claim(units: FloatArray) -> float:
         y = units[:p]
@@ -154,7 +165,9 @@ def _claim_in(
     return claim
 
 
-def _climb(value: Callable[[FloatArray], float], units: FloatArray, outputs: int) -> FloatArray:
+def _climb(
+    value: Callable[[FloatArray], float], units: FloatArray, outputs: int
+) -> FloatArray:
     """Change the ratio of output to input, then all units at random, by steps that adapt: the
     value has ridges, on which a search along single units stops."""
     whole = np.arange(units.size) < outputs

@@ -158,7 +158,9 @@ def _of_law(law: Law) -> StateSpace:
     code[LOW + m : LOW + 2 * m] = np.inf
     of_kernel = law_slopes.py_func  # type: ignore[attr-defined]  # as kernel it has no entrance from Python
     of_kernel(code, np.zeros(q), references, 0, np.zeros(p), np.zeros(m), slopes)
-    return StateSpace(slopes[m:, :q], slopes[m:, q:], -slopes[:m, :q], -slopes[:m, q:], law.period)
+    return StateSpace(
+        slopes[m:, :q], slopes[m:, q:], -slopes[:m, :q], -slopes[:m, q:], law.period
+    )
 
 
 def _h(matrix: Matrix) -> Matrix:
@@ -203,7 +205,10 @@ def half_plane(*systems: StateSpace) -> list[StateSpace]:
         msg = f"ν-gap: models have the periods {shown} s (None: continuous); they must be equal"
         raise DiscriminationError(msg)
     if periods <= {None}:
-        return [StateSpace(system.A, system.B, system.C, system.D).minimal() for system in systems]
+        return [
+            StateSpace(system.A, system.B, system.C, system.D).minimal()
+            for system in systems
+        ]
     poles = np.concatenate([np.linalg.eigvals(system.A) for system in systems])
     turn: complex = 1.0
     if np.abs(poles + 1).min() < NEAR_MINUS_ONE:
@@ -219,4 +224,9 @@ def _mapped(system: StateSpace, turn: complex) -> StateSpace:
     inverse = np.linalg.inv(a + identity)
     through = system.C @ inverse
     root = np.sqrt(2.0)
-    return StateSpace(inverse @ (a - identity), root * inverse @ b, root * through, system.D - through @ b)
+    return StateSpace(
+        inverse @ (a - identity),
+        root * inverse @ b,
+        root * through,
+        system.D - through @ b,
+    )

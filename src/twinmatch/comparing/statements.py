@@ -33,7 +33,9 @@ class TrustStatement(NamedTuple):
     @property
     def longest(self) -> float:
         """The longest horizon at which forecasts are trusted now, s; 0: at none."""
-        return max(self.horizons, default=0.0) if self.level is TrustLevel.TRUSTED else 0.0
+        return (
+            max(self.horizons, default=0.0) if self.level is TrustLevel.TRUSTED else 0.0
+        )
 
 
 NOWHERE: Final = "at no horizon"
@@ -96,7 +98,9 @@ class Statements(NamedTuple):
     @property
     def faults(self) -> tuple[FaultStatement, ...]:
         """The faults that are on."""
-        return tuple(fault for fault in (self.plant_fault, self.drive_fault) if fault is not None)
+        return tuple(
+            fault for fault in (self.plant_fault, self.drive_fault) if fault is not None
+        )
 
 
 def statements_of(verdict: Verdict | None, drive_fault: str = "") -> Statements:
@@ -111,7 +115,9 @@ def _trust_in(verdict: Verdict) -> TrustStatement:
         reason=verdict.level_reason or LEVEL_WORDS.get(verdict.level, ""),
         horizons=verdict.trusted,
         doubts=verdict.doubts,
-        missed_since=verdict.miss_since if verdict.level is TrustLevel.DOUBTFUL else None,
+        missed_since=verdict.miss_since
+        if verdict.level is TrustLevel.DOUBTFUL
+        else None,
     )
 
 
@@ -134,5 +140,11 @@ def fault_of_drive(report: str) -> FaultStatement | None:
     if not report:
         return None
     kind, _, why = report.partition(": ")
-    effect = "output limited" if is_limit(report) else f"output held at zero: {kind.replace('_', ' ')}"
-    return FaultStatement(name=effect, signal="", called=effect, reason=why, level=TrustLevel.FAULT)
+    effect = (
+        "output limited"
+        if is_limit(report)
+        else f"output held at zero: {kind.replace('_', ' ')}"
+    )
+    return FaultStatement(
+        name=effect, signal="", called=effect, reason=why, level=TrustLevel.FAULT
+    )

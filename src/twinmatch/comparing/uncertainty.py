@@ -31,7 +31,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinmatch.comparing.models import Candidate
-from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps, plant_gaps, response_slopes
+from twinmatch.comparing.plant_gap import (
+    LoopConditions,
+    PlantGaps,
+    plant_gaps,
+    response_slopes,
+)
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.compiled import compiled
 from twinmatch.dynamics import Parameters
@@ -73,7 +78,11 @@ def disturbed_pair(
         v = still1[w, 0] * still2[w, 1] - still1[w, 1] * still2[w, 0]
         a[w] = v.real * v.real + v.imag * v.imag
         for s in range(draws):
-            e = moved1[s, w, 0] * moved2[s, w, 1] - moved1[s, w, 1] * moved2[s, w, 0] - v
+            e = (
+                moved1[s, w, 0] * moved2[s, w, 1]
+                - moved1[s, w, 1] * moved2[s, w, 0]
+                - v
+            )
             b[w, s] = 2 * (v.real * e.real + v.imag * e.imag)
             c[w, s] = e.real * e.real + e.imag * e.imag
     return a, b, c
@@ -124,7 +133,9 @@ def failing_draws(
         for p in range(failed.size):
             part = slice(p * width, (p + 1) * width)
             before = turn(still[0][part], still[1][part])
-            changed = abs(turn(moved[0][s, part], moved[1][s, part]) - before) > 0.5 * math.pi
+            changed = (
+                abs(turn(moved[0][s, part], moved[1][s, part]) - before) > 0.5 * math.pi
+            )
             if changed != failed[p]:
                 fails[s] = True
     return fails
@@ -193,7 +204,9 @@ def fitting_scales(
     if low == 0.0 and np.sum(estimates(which, a, b, c, 0.0) >= estimate) > rare:
         high = 0.0
     least, _ = _bisect_scale(which, a, b, c, estimate, rare, low, high)
-    _, largest = _bisect_scale(which, a, b, c, estimate, draws - rare - 1, 1.0, 1.0 + widest)
+    _, largest = _bisect_scale(
+        which, a, b, c, estimate, draws - rare - 1, 1.0, 1.0 + widest
+    )
     return least, largest
 
 
@@ -216,7 +229,9 @@ def covariance_root(candidate: Candidate) -> FloatArray:
     covariance = candidate.covariance
     if not len(covariance):
         return np.zeros((0, 0))
-    scales = np.array([candidate.parameters.model.declared[name].scale for name in candidate.free])
+    scales = np.array(
+        [candidate.parameters.model.declared[name].scale for name in candidate.free]
+    )
     if covariance.shape != (scales.size, scales.size) or np.isnan(covariance).any():
         raise DiscriminationError(
             f"uncertainty: a covariance of shape {covariance.shape} for {len(candidate.free)} "
@@ -273,14 +288,19 @@ def family_uncertainty(
     family = _Family.of(twins, gaps, loop, seed)
     low = np.zeros((n, n))
     high = np.zeros((n, n))
-    with ThreadPoolExecutor(1) as executor:  # the sums are compiled code, which releases the GIL
+    with ThreadPoolExecutor(1) as executor:
+        # the sums are compiled code, which releases the GIL
         sums = executor.submit(lambda: [family.sum_of(k) for k in range(n)])
         for p, (i, j) in enumerate(zip(family.first, family.second, strict=True)):
             low[i, j], high[i, j] = low[j, i], high[j, i] = family.interval(p)
     lows, highs, draws = map(np.array, zip(*sums.result(), strict=True))
     shares = _shares(draws)
     if n == 2:
-        shares = np.full(2, 0.5) if plant is None else _nearer(twins, plant, gaps.points, loop, seed)
+        shares = (
+            np.full(2, 0.5)
+            if plant is None
+            else _nearer(twins, plant, gaps.points, loop, seed)
+        )
     return FamilyUncertainty(low, high, lows, highs, shares)
 
 
@@ -297,7 +317,13 @@ class _Family:
     fails: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, twins: Sequence[Candidate], gaps: PlantGaps, loop: LoopConditions, seed: int) -> _Family:
+    def of(
+        cls,
+        twins: Sequence[Candidate],
+        gaps: PlantGaps,
+        loop: LoopConditions,
+        seed: int,
+    ) -> _Family:
         rng = np.random.default_rng(seed)
         still = []
         moved = []
@@ -314,7 +340,9 @@ class _Family:
         for p, (i, j) in enumerate(zip(first, second, strict=True)):
             a[p], b[p], c[p] = disturbed_pair(still[i], still[j], moved[i], moved[j])
             has_failed = gaps.at[:, i, j] == 1
-            fails[p] = failing_draws(a[p], c[p], (still[i], still[j]), (moved[i], moved[j]), has_failed)
+            fails[p] = failing_draws(
+                a[p], c[p], (still[i], still[j]), (moved[i], moved[j]), has_failed
+            )
         return cls(first, second, gaps.matrix[first, second], a, b, c, fails)
 
     def interval(self, pair: int) -> tuple[float, float]:
@@ -387,7 +415,10 @@ def _nearer(
 
 
 def _directions(
-    twin: Candidate, points: Sequence[OperatingPoint], loop: LoopConditions, rng: np.random.Generator
+    twin: Candidate,
+    points: Sequence[OperatingPoint],
+    loop: LoopConditions,
+    rng: np.random.Generator,
 ) -> tuple[Complex, Complex]:
     """Directions of a twin's plant, the frequencies of one operating point after the other, unperturbed and
     in every draw; shapes (frequencies, 2) and (draws, frequencies, 2).
@@ -397,12 +428,16 @@ def _directions(
     root = covariance_root(twin)
     draws = rng.standard_normal((DRAWS, len(root))) @ root.T
     if not points:
-        return directions(np.zeros(1, np.complex128)), directions(np.zeros((DRAWS, 1), np.complex128))
+        return directions(np.zeros(1, np.complex128)), directions(
+            np.zeros((DRAWS, 1), np.complex128)
+        )
     free = twin.free if len(root) else ()
     responses = []
     slopes = []
     for point in points:
-        response_there, slopes_there = response_slopes(twin.parameters, free, point, loop)
+        response_there, slopes_there = response_slopes(
+            twin.parameters, free, point, loop
+        )
         responses.append(response_there)
         slopes.append(slopes_there)
     response = np.concatenate(responses)

@@ -21,7 +21,12 @@ from twinmatch.comparing.nu_gap import nu_gap
 from twinmatch.comparing.plant_gap import LoopConditions, PlantGaps, spans_of
 from twinmatch.comparing.scaling import best_scaling
 from twinmatch.comparing.state_space import StateSpace
-from twinmatch.comparing.uncertainty import CONFIDENCE, SEED, FamilyUncertainty, family_uncertainty
+from twinmatch.comparing.uncertainty import (
+    CONFIDENCE,
+    SEED,
+    FamilyUncertainty,
+    family_uncertainty,
+)
 from twinmatch.comparing.undefined import UndefinedError
 from twinmatch.dynamics import Law, LinearLaw, Parameters, PidGains, Plant, linearised
 from twinmatch.errors import TwinmatchError
@@ -66,7 +71,9 @@ class Shortfall(NamedTuple):
 FEW: Final = Shortfall("too few of its forecasts have been compared", "", certain=False)
 """Nothing is known yet."""
 _OWN: Final = re.compile("its (forecasts|bands)")
-_PERSISTENCE: Final = "its forecasts are not surely better than {persistence}, with {{}} times the error"
+_PERSISTENCE: Final = (
+    "its forecasts are not surely better than {persistence}, with {{}} times the error"
+)
 _ARX: Final = "its forecasts are worse than {arx}, with {{}} times the error"
 _BANDS: Final = "its bands hold {} % of the readings"
 
@@ -76,14 +83,22 @@ def doubt_words(doubts: Mapping[float, Shortfall]) -> str:
     proven = {horizon: doubt for horizon, doubt in doubts.items() if doubt != FEW}
     clauses = []
     for words in dict.fromkeys(doubt.words for doubt in proven.values()):
-        figures = {horizon: doubt.figure for horizon, doubt in proven.items() if doubt.words == words}
-        clauses.append(f"{number_list(figures)} s ahead {words.format(number_list(figures.values()))}")
+        figures = {
+            horizon: doubt.figure
+            for horizon, doubt in proven.items()
+            if doubt.words == words
+        }
+        clauses.append(
+            f"{number_list(figures)} s ahead {words.format(number_list(figures.values()))}"
+        )
     return ", and ".join(clauses)
 
 
 def number_list(listed: Iterable[float | str], digits: str = "g") -> str:
     """Numbers or texts in a sentence, at least one: 10, 60 and 300."""
-    *first, last = (entry if isinstance(entry, str) else format(entry, digits) for entry in listed)
+    *first, last = (
+        entry if isinstance(entry, str) else format(entry, digits) for entry in listed
+    )
     return f"{', '.join(first)} and {last}" if first else last
 
 
@@ -109,7 +124,9 @@ LEVEL_WORDS: Final = {
 
 
 _BY_HORIZON: Final = Sized("horizons", "its horizons", may_be_empty=True, by_owner=True)
-_BY_HORIZON_OF_SIGNAL: Final = Sized("horizons", "the horizons", may_be_empty=True, by_owner=True)
+_BY_HORIZON_OF_SIGNAL: Final = Sized(
+    "horizons", "the horizons", may_be_empty=True, by_owner=True
+)
 
 
 @dataclass(frozen=True)
@@ -139,7 +156,9 @@ class CandidateScore:
     """ν-gap from the nominal candidate's plant to this one's, input to output, scaled as `margin`."""
     nu_gap_low: tuple[float, ...] = ()
     """Lower ends of the 90 % intervals of the ν-gaps to the candidates, in their order."""
-    nu_gap_high: Annotated[tuple[float, ...], Sized("nu_gap_low", "the lower ends")] = ()
+    nu_gap_high: Annotated[
+        tuple[float, ...], Sized("nu_gap_low", "the lower ends")
+    ] = ()
     """Upper ends of the same intervals."""
     nu_gap_sum_low: float = math.nan
     """Lower end of the 90 % interval of `nu_gap_sum`; NaN where not computed, as for the two below."""
@@ -186,7 +205,9 @@ class ForecastScore:
     independent: Annotated[tuple[float, ...], _BY_HORIZON] = ()
     """Effective number of forecasts in that share which do not overlap."""
 
-    def doubts(self, horizons: Sequence[float], trusted: Sequence[float] = ()) -> dict[float, Shortfall]:
+    def doubts(
+        self, horizons: Sequence[float], trusted: Sequence[float] = ()
+    ) -> dict[float, Shortfall]:
         """Where its forecasts do not pass the test, and why, by horizon, s; at the others they are trusted.
 
         They pass if they are better than saying that nothing changes, by more than chance; if ARX is not
@@ -196,18 +217,28 @@ class ForecastScore:
         one is named.
         """
         doubts = {h: self._doubt(k, held=h in trusted) for k, h in enumerate(horizons)}
-        return {horizon: doubt for horizon, doubt in doubts.items() if doubt is not None}
+        return {
+            horizon: doubt for horizon, doubt in doubts.items() if doubt is not None
+        }
 
     def _doubt(self, k: int, *, held: bool) -> Shortfall | None:
         if not self.persistence_skill or math.isnan(self.persistence_skill[k]):
             return FEW
-        behind = [self._behind_persistence(k, held=held), self._behind_arx(k, held=held)]
+        behind = [
+            self._behind_persistence(k, held=held),
+            self._behind_arx(k, held=held),
+        ]
         shortfalls = [shortfall for shortfall in behind if shortfall is not None]
         if shortfalls:
             return max(shortfalls, key=lambda shortfall: float(shortfall.figure))
         allowed = _SHOWN if held else _SHOWN / 2.0
-        share, number = (figures[k] if figures else math.nan for figures in (self.coverage, self.independent))
-        short = (CONFIDENCE - share) / math.sqrt(CONFIDENCE * (1.0 - CONFIDENCE) / number)
+        share, number = (
+            figures[k] if figures else math.nan
+            for figures in (self.coverage, self.independent)
+        )
+        short = (CONFIDENCE - share) / math.sqrt(
+            CONFIDENCE * (1.0 - CONFIDENCE) / number
+        )
         if short > allowed:
             return Shortfall(_BANDS, f"{100 * share:.0f}", short > _SHOWN)
         return None
@@ -216,7 +247,9 @@ class ForecastScore:
         error, sure = self._behind("persistence", k)
         if sure < -(0.0 if held else _SHOWN):
             return None
-        return Shortfall(_PERSISTENCE.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
+        return Shortfall(
+            _PERSISTENCE.format(**BASELINES), f"{error:.2f}", sure > _SHOWN
+        )
 
     def _behind_arx(self, k: int, *, held: bool) -> Shortfall | None:
         error, sure = self._behind("arx", k, _TENTH if held else 1.0)
@@ -232,7 +265,9 @@ class ForecastScore:
             return math.nan, math.nan
         worse = math.log(1.0 - skill[k])
         least = math.log(1.0 - high[k])
-        return 1.0 - skill[k], ONE_SIDED * (worse - math.log(times)) / max(worse - least, _TINY)
+        return 1.0 - skill[k], ONE_SIDED * (worse - math.log(times)) / max(
+            worse - least, _TINY
+        )
 
 
 @dataclass(frozen=True)
@@ -348,12 +383,18 @@ class Verdict:
     @property
     def leading(self) -> ForecastScore | None:
         """The leader's score; None without a leader."""
-        return next((score for score in self.forecasts if score.name == self.leader), None)
+        return next(
+            (score for score in self.forecasts if score.name == self.leader), None
+        )
 
     @property
     def doubts(self) -> str:
         """Where the leader's forecasts do not pass the test, in words; empty if nowhere."""
-        return doubt_words(self.leading.doubts(self.horizons, self.trusted)) if self.leading else ""
+        return (
+            doubt_words(self.leading.doubts(self.horizons, self.trusted))
+            if self.leading
+            else ""
+        )
 
     @property
     def modelled(self) -> tuple[CandidateScore, ...]:
@@ -365,7 +406,9 @@ class Verdict:
     def family(self) -> tuple[CandidateScore, ...]:
         """The candidates that displays list: the paper's family; of a plant with several loops, which has no
         such models, all."""
-        several = any(not candidate.parameters.model.plant.single for candidate in self.candidates)
+        several = any(
+            not candidate.parameters.model.plant.single for candidate in self.candidates
+        )
         return self.candidates if several else self.modelled
 
     @property
@@ -374,13 +417,18 @@ class Verdict:
         plant = self.plant
         signal = self.fault_signal
         return (
-            f"{self.fault} of {plant.called(signal)}" if signal and plant and not plant.single else self.fault
+            f"{self.fault} of {plant.called(signal)}"
+            if signal and plant and not plant.single
+            else self.fault
         )
 
     @property
     def plant(self) -> type[Plant] | None:
         """The plant that was judged; None while nothing was fitted."""
-        parameters = [*(f.parameters for f in self.forecasts), *(c.parameters for c in self.candidates)]
+        parameters = [
+            *(f.parameters for f in self.forecasts),
+            *(c.parameters for c in self.candidates),
+        ]
         return parameters[0].model.plant if parameters else None
 
 
@@ -394,7 +442,9 @@ def nominal_of(candidates: tuple[CandidateScore, ...]) -> str | None:
         return None
 
     def rank(candidate: CandidateScore) -> tuple[float, float, str]:
-        to_plant = 1.0 if candidate.nu_gap_to_plant is None else candidate.nu_gap_to_plant
+        to_plant = (
+            1.0 if candidate.nu_gap_to_plant is None else candidate.nu_gap_to_plant
+        )
         return candidate.nu_gap_sum, to_plant, candidate.name
 
     return min(candidates, key=rank).name
@@ -447,7 +497,9 @@ def judge_uncertainty(
     all_scores = with_margins(candidates, chosen, loop.law)
     scored = all_scores[: len(twins)]
     if twins[0].parameters.model.plant.single:
-        scored = _with_intervals(scored, family_uncertainty(twins, gaps, loop, plant=plant, seed=seed))
+        scored = _with_intervals(
+            scored, family_uncertainty(twins, gaps, loop, plant=plant, seed=seed)
+        )
     sentences = [_choice(scored, chosen)]
     sentences += [_reach(scored, chosen)] if loop.law is not None else []
     sentences += [f"not compared everywhere: {reason}" for reason in gaps.left_out[:1]]
@@ -491,7 +543,9 @@ def with_margins(
         plants = [_plant(c, law) for c in candidates]
         centre = plants[chosen]
         figures = tuple(
-            (_margin(p, controller), nu_gap(p, centre) if centre else None) if p else (None, None)
+            (_margin(p, controller), nu_gap(p, centre) if centre else None)
+            if p
+            else (None, None)
             for p in plants
         )
     else:
@@ -525,7 +579,9 @@ def _held_by(
         return ((None, None),) * len(twins)
     spans = spans_of(twins[0][0].model.plant)
     family = [system for system in systems if system is not None]
-    y, u, *_ = best_scaling(centre, family, controller, outputs=spans.output, inputs=spans.input)
+    y, u, *_ = best_scaling(
+        centre, family, controller, outputs=spans.output, inputs=spans.input
+    )
     scaled_centre = centre.scaled(y, u)
     scaled_controller = controller.scaled(u, y)
     figures: list[_Figures] = []
@@ -534,14 +590,21 @@ def _held_by(
             figures.append((None, None))
         else:
             scaled = system.scaled(y, u)
-            figures.append((matrix_margin(scaled, scaled_controller), matrix_nu_gap(scaled_centre, scaled)))
+            figures.append(
+                (
+                    matrix_margin(scaled, scaled_controller),
+                    matrix_nu_gap(scaled_centre, scaled),
+                )
+            )
     return tuple(figures)
 
 
 def _plant(candidate: CandidateScore, gains: PidGains) -> GraphSymbol | None:
     try:
         return loop_plant(
-            candidate.parameters, one_of_each("set-point", point_values(candidate.operating_point)), gains
+            candidate.parameters,
+            one_of_each("set-point", point_values(candidate.operating_point)),
+            gains,
         )
     except TwinmatchError:
         return None
@@ -579,9 +642,17 @@ def _reach(candidates: Sequence[CandidateScore], chosen: int) -> str:
         return "the controller has no margin for it, because no input holds it at its set-point"
     if margin == 0:
         return "the controller does not stabilise it"
-    begin = f"the controller stabilises it and every plant within a ν-gap of {margin:.2f}"
-    gaps = {c.name: c.plant_gap_to_nominal for c in candidates if c.name != candidates[chosen].name}
-    beyond = [f"{n} ({g:.2f} away)" for n, g in gaps.items() if g is not None and g >= margin]
+    begin = (
+        f"the controller stabilises it and every plant within a ν-gap of {margin:.2f}"
+    )
+    gaps = {
+        c.name: c.plant_gap_to_nominal
+        for c in candidates
+        if c.name != candidates[chosen].name
+    }
+    beyond = [
+        f"{n} ({g:.2f} away)" for n, g in gaps.items() if g is not None and g >= margin
+    ]
     within = [g for g in gaps.values() if g is not None and g < margin]
     if lost:
         return f"{begin}, but not {', '.join(lost)}"

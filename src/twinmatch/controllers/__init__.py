@@ -17,7 +17,12 @@ from twinmatch.controllers.answer import (
     try_controller,
 )
 from twinmatch.controllers.guarantee import Guarantee
-from twinmatch.controllers.law_document import gains_from, law_from, pid_document, suited
+from twinmatch.controllers.law_document import (
+    gains_from,
+    law_from,
+    pid_document,
+    suited,
+)
 from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.next_experiment import (
     GOALS,

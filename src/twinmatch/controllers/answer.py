@@ -33,7 +33,15 @@ from twinmatch.controllers.stability import (
     open_question,
     stability_of,
 )
-from twinmatch.dynamics import Law, Linear, Parameters, Plant, PlantError, Rest, TwoLevel
+from twinmatch.dynamics import (
+    Law,
+    Linear,
+    Parameters,
+    Plant,
+    PlantError,
+    Rest,
+    TwoLevel,
+)
 from twinmatch.dynamics.pids import as_linear
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray
@@ -106,7 +114,9 @@ class Spread(NamedTuple):
         row = np.array(values)
         if np.isnan(row).all():
             return cls(math.nan, math.nan, math.nan)
-        low, median, high = np.nanquantile(row, _BAND_QUANTILES, method="nearest").tolist()
+        low, median, high = np.nanquantile(
+            row, _BAND_QUANTILES, method="nearest"
+        ).tolist()
         return cls(low, median, high)
 
     def widened(self, factor: float) -> Spread:
@@ -164,11 +174,14 @@ def operating_points(references: FloatArray) -> tuple[Point, ...]:
     """The distinct set-points of a profile, at most `MAX_POINTS` that are spread over them, and both ends."""
     set_points = np.unique(references, axis=0)
     if len(set_points) > MAX_POINTS:
-        set_points = set_points[np.linspace(0, len(set_points) - 1, MAX_POINTS).round().astype(int)]
+        set_points = set_points[
+            np.linspace(0, len(set_points) - 1, MAX_POINTS).round().astype(int)
+        ]
     return tuple(tuple(row) for row in set_points.tolist())
 
 
-@np.errstate(over="ignore", invalid="ignore")  # an unstable course grows without bound; NaN is unsafe
+# an unstable course grows without bound; NaN is unsafe
+@np.errstate(over="ignore", invalid="ignore")
 def try_controller(
     members: Sequence[TriedTwin],
     question: ControllerQuestion,
@@ -185,8 +198,14 @@ def try_controller(
     plant = members[0].parameters.model.plant
     points = operating_points(question.references)
     number = max(question.draws // len(members), MIN_DRAWS)
-    drawn = [member.drawn(number, question.seed + k) for k, member in enumerate(members)]
-    laws = [question.law] if question.holding.law is None else [question.law, question.holding.law]
+    drawn = [
+        member.drawn(number, question.seed + k) for k, member in enumerate(members)
+    ]
+    laws = (
+        [question.law]
+        if question.holding.law is None
+        else [question.law, question.holding.law]
+    )
     reservations = _reservations(plant, question.law)
     progress = _Progress(watch, (1 + len(laws)) * sum(map(len, drawn)))
     stability, held_twins, notes = _stabilities(
@@ -195,7 +214,9 @@ def try_controller(
     twins_with_draws = [(members[k], drawn[k]) for k in held_twins]
     courses = [_courses(twins_with_draws, law, question, progress) for law in laws]
     names = tuple(members[k].name for k in held_twins)
-    decision, sentence, left_open = _decide(plant, names, stability, courses[0], question)
+    decision, sentence, left_open = _decide(
+        plant, names, stability, courses[0], question
+    )
     period = question.holding.period
     guarantee = None
     if stability and all(loop.eigenvalue < 1.0 for loop in stability):
@@ -233,7 +254,9 @@ def _reservations(plant: type[Plant], law: Law) -> list[str]:
     if isinstance(law, TwoLevel):
         return notes
     linear = as_linear(law)
-    for (name, drive), low, high in zip(plant.drives.items(), linear.low, linear.high, strict=True):
+    for (name, drive), low, high in zip(
+        plant.drives.items(), linear.low, linear.high, strict=True
+    ):
         drive_low, drive_high = drive.limits
         if low < drive_low or high > drive_high:
             notes.append(
@@ -277,12 +300,16 @@ def _stabilities(
         progress.step(len(drawn))
         try:
             if linear is not None:
-                stability.append(stability_of(member, linear, points, question.holding, drawn))
+                stability.append(
+                    stability_of(member, linear, points, question.holding, drawn)
+                )
             held_twins.append(k)
         except PlantError as error:
             notes.append(f"{member.name} is left out: {error}")
     if not held_twins:
-        raise ControllerError(f"controller: none of the twins can be held there; {notes[0]}")
+        raise ControllerError(
+            f"controller: none of the twins can be held there; {notes[0]}"
+        )
     return stability, held_twins, notes
 
 
@@ -296,7 +323,8 @@ def _courses(
     if law is not question.law:
         question = replace(question, state=None)
     acting = taken_by(
-        twins_with_draws[0][0].parameters.model.plant, law if isinstance(law, TwoLevel) else as_linear(law)
+        twins_with_draws[0][0].parameters.model.plant,
+        law if isinstance(law, TwoLevel) else as_linear(law),
     )
     rng = np.random.default_rng(question.seed)
     runs = []
@@ -310,15 +338,22 @@ def _courses(
                 continue  # a draw that cannot be held where courses begin
             owner.append(k)
     if not runs:
-        raise ControllerError("controller: no draw can be held where the profile begins")
-    values = {q: np.array([course.figures[q] for course in runs]) for q in runs[0].figures}
+        raise ControllerError(
+            "controller: no draw can be held where the profile begins"
+        )
+    values = {
+        q: np.array([course.figures[q] for course in runs]) for q in runs[0].figures
+    }
     return Courses(
         {q: Spread.of(row.tolist()) for q, row in values.items()},
         _band([course.run.outputs for course in runs]),
         _band([course.run.inputs for course in runs]),
         values,
         np.array(owner, dtype=np.float64),
-        {words: np.array([course.conduct[words] for course in runs]) for words in runs[0].conduct},
+        {
+            words: np.array([course.conduct[words] for course in runs])
+            for words in runs[0].conduct
+        },
     )
 
 
@@ -343,7 +378,9 @@ def _course(
     model = parameters.model
     holding = question.holding
     size = len(question.references)
-    references = np.vstack([question.references, np.tile(question.references[-1], (holding.samples, 1))])
+    references = np.vstack(
+        [question.references, np.tile(question.references[-1], (holding.samples, 1))]
+    )
     at_rest = holding.linear(parameters, question.before.tolist(), member.disturbances)
     start = at_rest
     if member.states is not None and member.inputs is not None:
@@ -372,7 +409,11 @@ def _course(
 
 
 def _runs_at_rest(
-    member: TriedTwin, parameters: Parameters, law: Law, question: ControllerQuestion, at_rest: Linear
+    member: TriedTwin,
+    parameters: Parameters,
+    law: Law,
+    question: ControllerQuestion,
+    at_rest: Linear,
 ) -> list[Run]:
     """The courses with the set-points held: without a load, and with one at each input in turn."""
     drives = parameters.model.plant.drives.values()
@@ -427,14 +468,24 @@ def _decide(
         return ControllerDecision.UNDECIDED, words, asked
     if misconduct is not None:
         return *misconduct, None
-    return ControllerDecision.SAFE, f"safe for all that the data allow: {_safe_words(names, stability)}", None
+    return (
+        ControllerDecision.SAFE,
+        f"safe for all that the data allow: {_safe_words(names, stability)}",
+        None,
+    )
 
 
-def _unstable_words(plant: type[Plant], names: Sequence[str], failing: Sequence[MemberStability]) -> str:
+def _unstable_words(
+    plant: type[Plant], names: Sequence[str], failing: Sequence[MemberStability]
+) -> str:
     """On which twins a law fails since its loop is unstable, in words."""
     worst = max(failing, key=lambda loop: loop.eigenvalue)
     where = levels_words(plant, worst.point)
-    size = f"{worst.eigenvalue:.4f}" if worst.eigenvalue < _LARGE else f"{worst.eigenvalue:.3g}"
+    size = (
+        f"{worst.eigenvalue:.4f}"
+        if worst.eigenvalue < _LARGE
+        else f"{worst.eigenvalue:.3g}"
+    )
     why = f"its loop is unstable at {where}: largest eigenvalue {size}"
     return _fails(len(failing), names, worst.member.name, why)
 
@@ -457,11 +508,17 @@ def _safe_words(names: Sequence[str], stability: Sequence[MemberStability]) -> s
 
 def _fails(number: int, names: Sequence[str], first: str, why: str) -> str:
     """On how many of the twins a law fails, on which of them first, and why, in words."""
-    on = f"on {number} of {len(names)} twins, first on {first}" if len(names) > 1 else f"on {first}"
+    on = (
+        f"on {number} of {len(names)} twins, first on {first}"
+        if len(names) > 1
+        else f"on {first}"
+    )
     return f"fails {on}: {why}"
 
 
-def _misconduct(names: Sequence[str], courses: Courses) -> tuple[ControllerDecision, str] | None:
+def _misconduct(
+    names: Sequence[str], courses: Courses
+) -> tuple[ControllerDecision, str] | None:
     """A decision and its sentence if courses do what safe ones never do: on a twin whatever the data leave
     open, or in some draws."""
     twins = np.unique(courses.owner).astype(int).tolist()
@@ -470,16 +527,22 @@ def _misconduct(names: Sequence[str], courses: Courses) -> tuple[ControllerDecis
         shares = {k: float(np.mean(is_seen[courses.owner == k])) for k in twins}
         failing = [k for k in twins if shares[k] >= 1.0 - MAX_UNSTABLE]
         if failing:
-            return ControllerDecision.FAILS, _fails(len(failing), names, names[failing[0]], words)
+            return ControllerDecision.FAILS, _fails(
+                len(failing), names, names[failing[0]], words
+            )
         if undecided is None and max(shares.values()) > MAX_UNSTABLE:
-            sentence = f"undecided: in {int(is_seen.sum())} of {is_seen.size} draws {words}"
+            sentence = (
+                f"undecided: in {int(is_seen.sum())} of {is_seen.size} draws {words}"
+            )
             undecided = ControllerDecision.UNDECIDED, sentence
     return undecided
 
 
 def levels_words(plant: type[Plant], point: Sequence[float]) -> str:
     """An operating point in words."""
-    return ", ".join(f"{v:g} {o.unit}" for v, o in zip(point, plant.outputs.values(), strict=True))
+    return ", ".join(
+        f"{v:g} {o.unit}" for v, o in zip(point, plant.outputs.values(), strict=True)
+    )
 
 
 def open_words(parameters: Parameters, asked: OpenQuestion) -> str:

@@ -117,7 +117,10 @@ def first_course(
         )
     margin = _MARGIN * (high - low)
     apart = _APART * plant.output.noise
-    ends = (max(low, min(low + margin, before - apart)), min(high, max(high - margin, before + apart)))
+    ends = (
+        max(low, min(low + margin, before - apart)),
+        min(high, max(high - margin, before + apart)),
+    )
     search = _CourseSearch(tuple(draws), before, tuple(shape), period, ends)
     for largest in _largest_levels(plant):
         course = search.course(largest)
@@ -156,12 +159,16 @@ class _CourseSearch:
             return None
         low = float(np.quantile(outputs.min(axis=1), 0.05))
         high = float(np.quantile(outputs.max(axis=1), 0.95))
-        return replace(planned, band=(low, high), size=float(np.median(np.ptp(outputs, axis=1))))
+        return replace(
+            planned, band=(low, high), size=float(np.median(np.ptp(outputs, axis=1)))
+        )
 
     def _planned(self, largest: float) -> FirstCourse:
         """The course with this largest level, of which nothing is known yet."""
         rest = self.plant.drive.rest
-        levels = tuple(float(f"{rest + share * (largest - rest):.3g}") for share, _ in self.shape)
+        levels = tuple(
+            float(f"{rest + share * (largest - rest):.3g}") for share, _ in self.shape
+        )
         holds = tuple(hold for _, hold in self.shape)
         return FirstCourse(self.plant, levels, holds, self.ends, self.ends, 0.0)
 
@@ -171,7 +178,9 @@ class _CourseSearch:
         courses = []
         for draw in self.draws:
             states = begin(draw, self.before)
-            courses.append(simulate_driven(draw, inputs, states=states, period=self.period).output)
+            courses.append(
+                simulate_driven(draw, inputs, states=states, period=self.period).output
+            )
         return np.nan_to_num(np.array(courses), nan=math.inf)
 
     @cached_property

@@ -66,9 +66,15 @@ def reduced(plant: Linear) -> FirstOrderReduction:
         ControllerError: the response does not end, as that of an integrator.
     """
     states = len(plant.A)
-    final = plant.C @ np.linalg.solve(np.eye(states) - plant.A, plant.B) if _decays(plant) else None
+    final = (
+        plant.C @ np.linalg.solve(np.eye(states) - plant.A, plant.B)
+        if _decays(plant)
+        else None
+    )
     if final is None or not abs(final[0, 0]) > 0.0:
-        raise ControllerError("first PID: the output does not come to rest after a step of the input")
+        raise ControllerError(
+            "first PID: the output does not come to rest after a step of the input"
+        )
     gain = float(final[0, 0])
     shares = _step_response(plant) / gain
     early = _time_at(shares, 0.283, plant.period)
@@ -84,7 +90,11 @@ def _decays(plant: Linear) -> bool:
 def _step_response(plant: Linear) -> FloatArray:
     """The output after a unit step, from one sample after it on, until all modes have decayed."""
     slowest = float(np.abs(np.linalg.eigvals(plant.A)).max())
-    size = _LONGEST if slowest <= 0.0 else min(math.ceil(-5.0 / math.log(slowest)) + 10, _LONGEST)
+    size = (
+        _LONGEST
+        if slowest <= 0.0
+        else min(math.ceil(-5.0 / math.log(slowest)) + 10, _LONGEST)
+    )
     state = np.zeros(len(plant.A))
     outputs = []
     for _ in range(size):
@@ -133,14 +143,22 @@ def first_pid(
     """
     plants = _plants(twins, levels, holding)
     if not plants:
-        raise ControllerError(f"first PID: none of the twins can be held at {list(levels)}")
+        raise ControllerError(
+            f"first PID: none of the twins can be held at {list(levels)}"
+        )
     reductions = [reduced(plant) for plant in plants]
     gain, lag, dead_time = np.median(reductions, axis=0).tolist()
     period = holding.period
-    loop_time = slower * max(dead_time, _LOOPS.fewest_samples * period, _LOOPS.least_share * lag)
+    loop_time = slower * max(
+        dead_time, _LOOPS.fewest_samples * period, _LOOPS.least_share * lag
+    )
     for _ in range(_LOOPS.most):
-        gains = _gains(FirstOrderReduction(gain, lag, dead_time), loop_time, twins[0], period)
-        sensitivity = max(WholeLoop(plant, as_linear(gains)).sensitivity() for plant in plants)
+        gains = _gains(
+            FirstOrderReduction(gain, lag, dead_time), loop_time, twins[0], period
+        )
+        sensitivity = max(
+            WholeLoop(plant, as_linear(gains)).sensitivity() for plant in plants
+        )
         if sensitivity <= MAX_SENSITIVITY:
             return FirstPid(gains, sensitivity, loop_time, len(plants))
         loop_time *= _LOOPS.factor
@@ -150,20 +168,26 @@ def first_pid(
     )
 
 
-def _plants(twins: Sequence[TriedTwin], levels: Sequence[float], holding: Holding) -> list[Linear]:
+def _plants(
+    twins: Sequence[TriedTwin], levels: Sequence[float], holding: Holding
+) -> list[Linear]:
     """Every twin and its draws, linearised at the levels at which they can be held."""
     plants = []
     for number, twin in enumerate(twins):
         for parameters in (twin.parameters, *twin.drawn(_DRAWS, number)):
             for level in levels:
                 try:
-                    plants.append(holding.linear(parameters, [level], twin.disturbances))
+                    plants.append(
+                        holding.linear(parameters, [level], twin.disturbances)
+                    )
                 except PlantError:
                     continue  # the drive does not reach that far
     return plants
 
 
-def _gains(plant: FirstOrderReduction, loop_time: float, twin: TriedTwin, period: float) -> PidGains:
+def _gains(
+    plant: FirstOrderReduction, loop_time: float, twin: TriedTwin, period: float
+) -> PidGains:
     """A PI by Skogestad's rule, with its integral tracking the limited command in the integral time."""
     declared: type[Plant] = twin.parameters.model.plant
     low, high = declared.drive.limits

@@ -13,7 +13,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.comparing import Scaling, StateSpace, best_scaling, having_value, matrix_nu_gap, spans_of
+from twinmatch.comparing import (
+    Scaling,
+    StateSpace,
+    best_scaling,
+    having_value,
+    matrix_nu_gap,
+    spans_of,
+)
 from twinmatch.comparing.matrix_gap import beside, frequencies_of, gaps_of
 from twinmatch.comparing.state_space import half_plane
 from twinmatch.controllers.stability import MemberStability, Point
@@ -46,7 +53,9 @@ class Guarantee(NamedTuple):
 
 
 @having_value("the margin beside the gaps between the plants")
-def guarantee_of(plant: type[Plant], stability: Sequence[MemberStability], law: LinearLaw) -> Guarantee:
+def guarantee_of(
+    plant: type[Plant], stability: Sequence[MemberStability], law: LinearLaw
+) -> Guarantee:
     """The margin at the plant in the middle, in the units in which it exceeds the ν-gaps most.
 
     Raises:
@@ -66,19 +75,27 @@ def guarantee_of(plant: type[Plant], stability: Sequence[MemberStability], law: 
     middle = _middle([system.scaled(outputs, inputs) for system in systems])
     origin = systems[middle]
     stride = max(len(systems) // MAX_SEARCHED, 1)
-    scaling = best_scaling(origin, systems[::stride], StateSpace.of(law), outputs=outputs, inputs=inputs)
+    scaling = best_scaling(
+        origin, systems[::stride], StateSpace.of(law), outputs=outputs, inputs=inputs
+    )
     if stride > 1:
         scaling = scaling._replace(gap=_largest_gap(origin, systems, scaling))
     drawn = _largest_gap(origin, draws, scaling)
-    return Guarantee(names[middle], points[middle], scaling, drawn, len(systems) + len(draws))
+    return Guarantee(
+        names[middle], points[middle], scaling, drawn, len(systems) + len(draws)
+    )
 
 
-def _largest_gap(origin: StateSpace, systems: Sequence[StateSpace], scaling: Scaling) -> float:
+def _largest_gap(
+    origin: StateSpace, systems: Sequence[StateSpace], scaling: Scaling
+) -> float:
     """The largest ν-gap between a system and others, in the units of a scaling."""
     y = scaling.outputs
     u = scaling.inputs
     scaled = origin.scaled(y, u)
-    return max((matrix_nu_gap(scaled, system.scaled(y, u)) for system in systems), default=0.0)
+    return max(
+        (matrix_nu_gap(scaled, system.scaled(y, u)) for system in systems), default=0.0
+    )
 
 
 def _middle(systems: Sequence[StateSpace]) -> int:

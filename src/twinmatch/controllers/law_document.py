@@ -33,9 +33,13 @@ class _About(msgspec.Struct):
 
 _ABOUT: Final = {"kind", *_About.__struct_fields__}
 _REGULATOR: Final = ("A", "B", "C", "Bd", "Cd", "K", "u0", "y0", "Qs", "Rs")
-_MATRICES: Final = [field.name for field in fields(LinearLaw) if field.name not in {"period", "drives"}]
+_MATRICES: Final = [
+    field.name for field in fields(LinearLaw) if field.name not in {"period", "drives"}
+]
 _LEVELS: Final = [field for field in fields(TwoLevel) if field.name != "period"]
-_GAINS: Final = [field.name for field in fields(FilteredPid) if field.name != "proportional"]
+_GAINS: Final = [
+    field.name for field in fields(FilteredPid) if field.name != "proportional"
+]
 _VECTORS: Final = {"offset", "shift", "low", "high", "u0", "y0"}
 _Pid: Final = document_type(["proportional"], _GAINS)
 _Loops: Final = document_type(["loops"], kind=list[dict[str, Any]])
@@ -58,18 +62,31 @@ def law_from(document: Any, plant: type[Plant], period: float) -> Law:
         PlantError: the law itself is not possible.
     """
     if not isinstance(document, Mapping):
-        raise ControllerError("is not an object of keys and values; give one with the key kind")
-    kind = document.get("kind", "regulator" if document.keys() >= {*_REGULATOR} else None)
-    makers = {"pid": _pid, "two-level": _two_level, "state-space": _state_space, "regulator": _regulator}
+        raise ControllerError(
+            "is not an object of keys and values; give one with the key kind"
+        )
+    kind = document.get(
+        "kind", "regulator" if document.keys() >= {*_REGULATOR} else None
+    )
+    makers = {
+        "pid": _pid,
+        "two-level": _two_level,
+        "state-space": _state_space,
+        "regulator": _regulator,
+    }
     if not isinstance(kind, str) or kind not in makers:
-        raise ControllerError(f"kind: {kind!r:.80} is not a kind of law; give one of {', '.join(makers)}")
+        raise ControllerError(
+            f"kind: {kind!r:.80} is not a kind of law; give one of {', '.join(makers)}"
+        )
     about = _read(_About, document)
     _check_about(about, plant)
     law_keys = {}
     for key, value in document.items():
         if key not in _ABOUT:
             law_keys[key] = value.tolist() if isinstance(value, np.ndarray) else value
-    law = makers[kind](law_keys, plant, period if about.period is None else about.period)
+    law = makers[kind](
+        law_keys, plant, period if about.period is None else about.period
+    )
     return suited(law, plant, period)
 
 
@@ -82,7 +99,11 @@ def suited(law: Law, plant: type[Plant], period: float) -> Law:
     """
     n_outputs = len(plant.outputs)
     n_inputs = len(plant.drives)
-    if law.n_outputs != n_outputs or law.n_inputs != n_inputs or law.n_references != n_outputs:
+    if (
+        law.n_outputs != n_outputs
+        or law.n_inputs != n_inputs
+        or law.n_references != n_outputs
+    ):
         raise ControllerError(
             f"is a law for {law.n_outputs} outputs, {law.n_references} set-points and {law.n_inputs} inputs; "
             f"plant {plant.name} has {n_outputs} outputs ({', '.join(plant.outputs)}) and {n_inputs} inputs "
@@ -99,7 +120,9 @@ def pid_document(gains: PidGains) -> dict[str, Any]:
     return {"kind": "pid", "period": gains.period} | values
 
 
-def gains_from(document: Any, plant: type[Plant], period: float) -> tuple[PidGains, ...]:
+def gains_from(
+    document: Any, plant: type[Plant], period: float
+) -> tuple[PidGains, ...]:
     """The PIDs that a document describes, one for each output, as a controller of this package runs them.
 
     Raises:
@@ -108,7 +131,9 @@ def gains_from(document: Any, plant: type[Plant], period: float) -> tuple[PidGai
     """
     law_from(document, plant, period)
     if document.get("kind") != "pid":
-        raise ControllerError("is not of kind pid; the controller of a rig runs one PID for each output")
+        raise ControllerError(
+            "is not of kind pid; the controller of a rig runs one PID for each output"
+        )
     law_keys = {key: value for key, value in document.items() if key not in _ABOUT}
     loops = []
     for pid in _pids(law_keys, plant):
@@ -123,7 +148,9 @@ def gains_from(document: Any, plant: type[Plant], period: float) -> tuple[PidGai
             on_measurement=pid.derivative_weight == 0.0,
         )
         if FilteredPid.of(gains) != pid:
-            raise ControllerError("has a filter, weights or an offset; the controller of a rig has none")
+            raise ControllerError(
+                "has a filter, weights or an offset; the controller of a rig has none"
+            )
         loops.append(gains)
     return tuple(loops)
 
@@ -143,7 +170,10 @@ def _check_about(about: _About, plant: type[Plant]) -> None:
                 f"{key}: {', '.join(named):.200} is not the order of plant {plant.name}; "
                 f"write the law for {', '.join(declared)}"
             )
-    units = {name: signal.unit for name, signal in (*plant.outputs.items(), *plant.drives.items())}
+    units = {
+        name: signal.unit
+        for name, signal in (*plant.outputs.items(), *plant.drives.items())
+    }
     for name, unit in about.units.items():
         if name not in units:
             raise ControllerError(
@@ -159,12 +189,15 @@ def _read(kind: type[msgspec.Struct], tree: Any, place: str = "") -> Any:
     return decoded(tree, kind, place, ControllerError)
 
 
-def _arrays(kind: type[msgspec.Struct], given: Mapping[str, Any]) -> dict[str, FloatArray]:
+def _arrays(
+    kind: type[msgspec.Struct], given: Mapping[str, Any]
+) -> dict[str, FloatArray]:
     """The matrices and vectors of a document, without those that it leaves out."""
     arrays = {}
     for key, value in given_keys(_read(kind, given)).items():
         array = _array(key, value)
-        if key not in ("low", "high") and not (np.abs(array) <= GREATEST).all():  # true for NaN, too
+        if key not in ("low", "high") and not (np.abs(array) <= GREATEST).all():
+            # true for NaN, too
             raise ControllerError(
                 f"{key}: has a number that is not finite, or above {GREATEST:g} in size; give others"
             )
@@ -181,7 +214,9 @@ def _array(key: str, value: Any) -> FloatArray:
         array = np.zeros(())
     if not array.ndim or (array.ndim != 2 and not is_vector):
         shape_word = "a list" if is_vector else "a matrix"
-        raise ControllerError(f"{key}: is not {shape_word} of numbers with rows of one length; give one")
+        raise ControllerError(
+            f"{key}: is not {shape_word} of numbers with rows of one length; give one"
+        )
     return array.ravel() if is_vector else array
 
 
@@ -189,7 +224,9 @@ def _limits(plant: type[Plant], number: int) -> FloatArray:
     """Those of the plant's drives, shape (2, m); none for a law of another number of commands."""
     if number != len(plant.drives):
         return np.repeat([[-np.inf], [np.inf]], number, axis=1)
-    return np.array([drive.limits for drive in plant.drives.values()], dtype=np.float64).T
+    return np.array(
+        [drive.limits for drive in plant.drives.values()], dtype=np.float64
+    ).T
 
 
 def _pid(given: Mapping[str, Any], plant: type[Plant], period: float) -> Law:
@@ -205,7 +242,9 @@ def _pids(given: Mapping[str, Any], plant: type[Plant]) -> list[FilteredPid]:
             f"{', '.join(plant.outputs)}"
         )
     pids = []
-    for k, (row, low, high) in enumerate(zip(rows, *_limits(plant, len(rows)), strict=True)):
+    for k, (row, low, high) in enumerate(
+        zip(rows, *_limits(plant, len(rows)), strict=True)
+    ):
         gains = given_keys(_read(_Pid, row, f"loops[{k}]" if "loops" in given else ""))
         pids.append(FilteredPid(**({"low": low, "high": high} | gains)))
     return pids
@@ -215,7 +254,9 @@ def _two_level(given: Mapping[str, Any], plant: type[Plant], period: float) -> L
     law = TwoLevel(**given_keys(_read(_TwoLevel, given)), period=period)
     low, high = _limits(plant, 1)[:, 0]
     if law.off < low or law.on > high:
-        raise ControllerError(f"off, on: {law.off:g} and {law.on:g} are not within {low:g} to {high:g}")
+        raise ControllerError(
+            f"off, on: {law.off:g} and {law.on:g} are not within {low:g} to {high:g}"
+        )
     return law
 
 
@@ -242,7 +283,7 @@ def _regulator(given: Mapping[str, Any], plant: type[Plant], period: float) -> L
     It aims at the states and commands at which the model is at rest on its set-points under the estimated
     disturbances: x⁺ = A·x + B·u + Bd·d, y = C·x + Cd·d; weights Qs of the outputs and Rs of the commands.
     """
-    from scipy.linalg import solve_discrete_are  # noqa: PLC0415 — a quarter of a second, seldom needed
+    from scipy.linalg import solve_discrete_are  # noqa: PLC0415
 
     matrices = _arrays(_Regulator, given)
     A, B, C, Bd, Cd, K = (matrices[key] for key in ("A", "B", "C", "Bd", "Cd", "K"))
@@ -255,11 +296,15 @@ def _regulator(given: Mapping[str, Any], plant: type[Plant], period: float) -> L
         m = B.shape[1]
         cost_to_go = solve_discrete_are(A, B, C.T @ matrices["Qs"] @ C, matrices["Rs"])
         weights = matrices["Rs"] + B.T @ cost_to_go @ B
-        gain = np.asarray(np.linalg.solve(weights, B.T @ cost_to_go @ A), dtype=np.float64)
+        gain = np.asarray(
+            np.linalg.solve(weights, B.T @ cost_to_go @ A), dtype=np.float64
+        )
         aim = _aim(matrices, gain)
         aim_of_disturbances = aim[:, :n_disturbances]
         aim_of_set_points = aim[:, n_disturbances:]
-        model_A = np.block([[A, Bd], [np.zeros((n_disturbances, n)), np.eye(n_disturbances)]])
+        model_A = np.block(
+            [[A, Bd], [np.zeros((n_disturbances, n)), np.eye(n_disturbances)]]
+        )
         model_B = np.vstack([B, np.zeros((n_disturbances, m))])
         model_C = np.hstack([C, Cd])
         low, high = _limits(plant, m)
@@ -278,7 +323,9 @@ def _regulator(given: Mapping[str, Any], plant: type[Plant], period: float) -> L
             period=period,
         )
     except (ValueError, IndexError, np.linalg.LinAlgError) as error:
-        raise ControllerError(f"regulator: its matrices do not fit together ({error})") from error
+        raise ControllerError(
+            f"regulator: its matrices do not fit together ({error})"
+        ) from error
 
 
 def _aim(matrices: Mapping[str, FloatArray], gain: FloatArray) -> FloatArray:
@@ -292,4 +339,6 @@ def _aim(matrices: Mapping[str, FloatArray], gain: FloatArray) -> FloatArray:
     steady = np.block([[np.eye(n) - A, -B], [C, np.zeros((p, B.shape[1]))]])
     right = np.block([[Bd, np.zeros((n, p))], [-Cd, np.eye(p)]])
     states_and_inputs = np.linalg.solve(steady, right)
-    return np.asarray(gain @ states_and_inputs[:n] + states_and_inputs[n:], dtype=np.float64)
+    return np.asarray(
+        gain @ states_and_inputs[:n] + states_and_inputs[n:], dtype=np.float64
+    )

@@ -80,8 +80,12 @@ class TriedTwin:
         if self.unexplained is None:
             return None
         there_and_back = np.concatenate([self.unexplained, self.unexplained[::-1]])
-        places = (rng.integers(len(there_and_back)) + np.arange(size)) % len(there_and_back)
-        path: FloatArray = rng.choice([-1.0, 1.0]) * (there_and_back[places] - there_and_back[places[0]])
+        places = (rng.integers(len(there_and_back)) + np.arange(size)) % len(
+            there_and_back
+        )
+        path: FloatArray = rng.choice([-1.0, 1.0]) * (
+            there_and_back[places] - there_and_back[places[0]]
+        )
         return path
 
 
@@ -105,11 +109,16 @@ class Holding:
     def _limits(self, parameters: Parameters) -> FloatArray:
         """Least and greatest commands, shape (2, m)."""
         if self.law is None or self._holds_nothing:
-            return np.array([drive.limits for drive in parameters.model.plant.drives.values()]).T
+            return np.array(
+                [drive.limits for drive in parameters.model.plant.drives.values()]
+            ).T
         return self.law.code[LOW : LOW + 2 * self.law.n_inputs].reshape(2, -1)
 
     def linear(
-        self, parameters: Parameters, levels: Sequence[float], disturbances: FloatArray | None = None
+        self,
+        parameters: Parameters,
+        levels: Sequence[float],
+        disturbances: FloatArray | None = None,
     ) -> Linear:
         """The plant linearised where it is held at these outputs.
 
@@ -119,7 +128,9 @@ class Holding:
         model = parameters.model
         rest_point = None
         if self.law is not None and not self._holds_nothing:
-            rest_point = self._held_by_law(parameters, np.array(levels, dtype=np.float64), disturbances)
+            rest_point = self._held_by_law(
+                parameters, np.array(levels, dtype=np.float64), disturbances
+            )
         if rest_point is None:
             rest_point = rest_at(parameters, levels, disturbances)
         states, inputs = rest_point
@@ -128,7 +139,9 @@ class Holding:
         if not is_finite or not ((low < inputs) & (inputs < high)).all():
             outputs = zip(levels, model.plant.outputs.values(), strict=True)
             where = ", ".join(f"{level:g} {output.unit}" for level, output in outputs)
-            raise PlantError(f"{model.title}: it is not held at {where} within the limits of its drives")
+            raise PlantError(
+                f"{model.title}: it is not held at {where} within the limits of its drives"
+            )
         return linearised_at(parameters, states, inputs, self.period, disturbances)
 
     def _held_by_law(

@@ -41,7 +41,9 @@ LEAD: Final = 5.0
 """Nats by which a structure has to lead to be decided: twice as much is twice the logarithm of the odds from
 which on the other has no support (Burnham and Anderson 2002)."""
 _NINE_IN_TEN: Final = 1.2816
-ENOUGH: Final = 0.5 * (_NINE_IN_TEN + math.sqrt(_NINE_IN_TEN**2 + 2.0 * LEAD)) ** 2 / math.log(2.0)
+ENOUGH: Final = (
+    0.5 * (_NINE_IN_TEN + math.sqrt(_NINE_IN_TEN**2 + 2.0 * LEAD)) ** 2 / math.log(2.0)
+)
 """Expected characters after which nine of ten runs decide: noise moves a lead of n nats by √(2 n)."""
 MIN_COURSE: Final = 30
 """Least samples of an experiment."""
@@ -153,7 +155,9 @@ class ExperimentTerms:
             raise ControllerError(
                 f"experiment: {size} samples of {period:g} s; give {MIN_COURSE} to {_LENGTH.most} of them"
             )
-        low, high = np.array([counted_range(output) for output in plant.outputs.values()]).T
+        low, high = np.array(
+            [counted_range(output) for output in plant.outputs.values()]
+        ).T
         if within is not None:
             low = np.maximum(low, within[0])
             high = np.minimum(high, within[1])
@@ -164,7 +168,9 @@ class ExperimentTerms:
         if holding.law is None:
             levels = np.array([drive.limits for drive in plant.drives.values()]).T
         else:
-            spans = np.array([output.set_points or output.span for output in plant.outputs.values()]).T
+            spans = np.array(
+                [output.set_points or output.span for output in plant.outputs.values()]
+            ).T
             levels = np.clip(spans, low, high)
             if ranges:
                 levels = np.clip(levels, *np.transpose(ranges))
@@ -188,8 +194,12 @@ class Staircase(NamedTuple):
         low, high = levels
         for j in range(m) if self.column < 0 else [self.column]:
             delay = round(size * self.ends[0] * j / m) if self.column < 0 else 0
-            ends = np.minimum(np.round(np.multiply(self.ends, size)).astype(int) + delay, size)
-            for share, first, end in zip(self.shares, (delay, *ends), ends, strict=False):
+            ends = np.minimum(
+                np.round(np.multiply(self.ends, size)).astype(int) + delay, size
+            )
+            for share, first, end in zip(
+                self.shares, (delay, *ends), ends, strict=False
+            ):
                 rows[first:end, j] = low[j] + share * (high[j] - low[j])
         return rows
 
@@ -229,7 +239,9 @@ class PredictedRun(NamedTuple):
     @property
     def bands(self) -> FloatArray:
         """Half widths of the bands of the readings, shape (N, o)."""
-        return np.asarray(_BAND * self.noise * np.sqrt(1.0 + np.sum(self.slopes**2, axis=2)))
+        return np.asarray(
+            _BAND * self.noise * np.sqrt(1.0 + np.sum(self.slopes**2, axis=2))
+        )
 
     def within(self, ends: FloatArray) -> bool:
         """Whether the bands stay in a range, shape (2, o)."""
@@ -253,7 +265,11 @@ class LearningGoal:
     def label(self, k: int) -> str:
         """A contender by what it is suspected of."""
         twin = self.contenders[k].twin
-        return twin.parameters.model.structure_name if self.name == "structure" else twin.name
+        return (
+            twin.parameters.model.structure_name
+            if self.name == "structure"
+            else twin.name
+        )
 
     @property
     def most(self) -> float:
@@ -310,14 +326,19 @@ def goal_named(
 
 
 def _structure(members: Sequence[TriedTwin], *_: Any) -> LearningGoal | str:
-    first_twins = {twin.parameters.model.structure_name: Contender(twin) for twin in reversed(members)}
+    first_twins = {
+        twin.parameters.model.structure_name: Contender(twin)
+        for twin in reversed(members)
+    }
     if len(first_twins) < 2:
         return f"all twins have the structure {next(iter(first_twins))}; choose --for parameters"
     return LearningGoal("structure", tuple(first_twins.values()), pairs=True)
 
 
 def _parameters(members: Sequence[TriedTwin], *_: Any) -> LearningGoal | str:
-    contenders = tuple(Contender(twin) for twin in members if twin.free and twin.covariance is not None)
+    contenders = tuple(
+        Contender(twin) for twin in members if twin.free and twin.covariance is not None
+    )
     if not contenders:
         return "no twin leaves a parameter open; record more samples"
     return LearningGoal("parameters", contenders)
@@ -331,7 +352,11 @@ def _controller(*asked: Any) -> LearningGoal | str:
     contenders = []
     directions = []
     for loop in answer.stability:
-        if not loop.sound and loop.member.free and len(loop.drawn) > len(loop.member.free):
+        if (
+            not loop.sound
+            and loop.member.free
+            and len(loop.drawn) > len(loop.member.free)
+        ):
             contenders.append(Contender(loop.member))
             directions.append(_eigenvalue_slopes(loop))
     if not contenders:
@@ -346,18 +371,24 @@ def _eigenvalue_slopes(loop: MemberStability) -> FloatArray:
         rows.append([draw[name] for name in loop.member.free])
     values = np.array(rows)
     sizes = np.where(np.isfinite(loop.eigenvalues), loop.eigenvalues, UNBOUNDED)
-    slopes = np.linalg.lstsq(values - values.mean(axis=0), sizes - sizes.mean(), rcond=None)[0]
+    slopes = np.linalg.lstsq(
+        values - values.mean(axis=0), sizes - sizes.mean(), rcond=None
+    )[0]
     return np.asarray(slopes)
 
 
-def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> LearningGoal | str:
+def _fault(
+    members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any
+) -> LearningGoal | str:
     """A weak drive, and losses that have grown until they need the same command where the plant is held now:
     there they leave one mark."""
     leader = members[0]
     parameters = leader.parameters
     declared = parameters.model.declared
     before = terms.before.tolist()
-    losses = next((name for name in leader.free if declared[name].role == "losses"), None)
+    losses = next(
+        (name for name in leader.free if declared[name].role == "losses"), None
+    )
     if losses is None:
         return "the plant file has no open parameter with role='losses', with which a weak drive is confused"
 
@@ -389,24 +420,36 @@ def _fault(members: Sequence[TriedTwin], terms: ExperimentTerms, _: Any) -> Lear
 
     growth = _FAULTS.growth
     if share <= _FAULTS.share:
-        from scipy.optimize import brentq  # noqa: PLC0415 — slow to load
+        from scipy.optimize import brentq  # noqa: PLC0415
 
         growth = float(brentq(excess, 1.0, _FAULTS.growth, xtol=1e-6))
     if abs(excess(growth)) > _FAULTS.near:
         return f"a weak drive does not hold {leader.name} at {before}; begin at another level"
     grown_losses = _with_grown_losses(leader, losses, growth)
     weak_drive = replace(leader, name="weak drive", states=None)
-    return LearningGoal("fault", (Contender(weak_drive, share), Contender(grown_losses)), pairs=True)
+    return LearningGoal(
+        "fault", (Contender(weak_drive, share), Contender(grown_losses)), pairs=True
+    )
 
 
 def _with_grown_losses(leader: TriedTwin, losses: str, growth: float) -> TriedTwin:
     """The twin if the parameter `losses` has grown by about this factor."""
-    parameters = leader.parameters.replace(**{losses: growth * leader.parameters[losses]})
+    parameters = leader.parameters.replace(
+        **{losses: growth * leader.parameters[losses]}
+    )
     size = len(leader.free)
-    covariance = np.array(np.zeros((size, size)) if leader.covariance is None else leader.covariance)
+    covariance = np.array(
+        np.zeros((size, size)) if leader.covariance is None else leader.covariance
+    )
     place = leader.free.index(losses)
     covariance[place, place] += (_FAULTS.unsure * parameters[losses]) ** 2
-    return replace(leader, name="grown losses", parameters=parameters, covariance=covariance, states=None)
+    return replace(
+        leader,
+        name="grown losses",
+        parameters=parameters,
+        covariance=covariance,
+        states=None,
+    )
 
 
 GOALS: Final[dict[str, Callable[..., LearningGoal | str]]] = {
@@ -461,7 +504,8 @@ def next_experiment(
     size = int(search.marks[min(_reaching(best.curve, reach), len(best.curve) - 1)])
     worth = _worth_unless_known(search, search.rows(best.staircase)[:size], running)
     plain_courses = [
-        search.worth(name, rows) for name, rows in _plain(worth.rows, search.base, terms.levels).items()
+        search.worth(name, rows)
+        for name, rows in _plain(worth.rows, search.base, terms.levels).items()
     ]
     return NextExperiment(goal, members[0], terms, worth, tuple(plain_courses), most)
 
@@ -480,7 +524,9 @@ def _missing_at_end(course: _RatedCourse) -> float:
 
 
 def _ranked_by_leaders(
-    search: _Search, table: Sequence[Staircase], watch: Callable[[int, int], None] | None
+    search: _Search,
+    table: Sequence[Staircase],
+    watch: Callable[[int, int], None] | None,
 ) -> list[_RatedCourse]:
     """The courses of the table within the range, by what they bring nearly; that of most first."""
     ranked = []
@@ -493,7 +539,9 @@ def _ranked_by_leaders(
     return sorted(ranked, key=_missing_at_end)
 
 
-def _first_within_range(search: _Search, ranked: Sequence[_RatedCourse]) -> list[_RatedCourse]:
+def _first_within_range(
+    search: _Search, ranked: Sequence[_RatedCourse]
+) -> list[_RatedCourse]:
     """The first few courses that keep the bands of all twins within the range."""
     tried: list[_RatedCourse] = []
     for ranked_course in ranked:
@@ -505,7 +553,9 @@ def _first_within_range(search: _Search, ranked: Sequence[_RatedCourse]) -> list
     return tried
 
 
-def _worth_unless_known(search: _Search, rows: FloatArray, running: FloatArray | None) -> CourseWorth:
+def _worth_unless_known(
+    search: _Search, rows: FloatArray, running: FloatArray | None
+) -> CourseWorth:
     """What a course is worth; or what moving nothing is, or what runs already, if that is hardly less."""
     best = search.worth("proposed", rows)
     calm = np.tile(search.base, (len(rows), 1))
@@ -516,7 +566,9 @@ def _worth_unless_known(search: _Search, rows: FloatArray, running: FloatArray |
     return best
 
 
-def characters_by(found: NextExperiment, outputs: FloatArray, inputs: FloatArray) -> FloatArray:
+def characters_by(
+    found: NextExperiment, outputs: FloatArray, inputs: FloatArray
+) -> FloatArray:
     """What readings, shape (N, o), under commands, shape (N, m), say of each contender, in characters, shape
     (contenders,): of those to be told apart how well each predicted them, of others how much narrower their
     parameters are."""
@@ -530,7 +582,9 @@ def characters_by(found: NextExperiment, outputs: FloatArray, inputs: FloatArray
             miss = (outputs - run.outputs) / run.noise
             pull = np.einsum("ko,koi->i", miss, run.slopes)
             cost = np.sum(miss**2) - pull @ np.linalg.solve(information[0], pull)
-            characters.append(-_characters_of(information, 0)[0] - 0.5 * cost / math.log(2.0))
+            characters.append(
+                -_characters_of(information, 0)[0] - 0.5 * cost / math.log(2.0)
+            )
         else:
             characters.append(_characters_of(information, len(_root(contender)))[0])
     return np.array(characters)
@@ -551,8 +605,13 @@ def _staircases(terms: ExperimentTerms) -> list[Staircase]:
     """The table: every pair of levels, every number of steps, for every set-point or input and for all."""
     count = terms.levels.shape[1]
     columns = [*range(count), -1] if count > 1 else [0]
-    table = [Staircase((share,), (1.0,), column) for share, column in product(_SHARES, columns)]
-    for (first, second), steps, column in product(permutations(_SHARES, 2), _STEPS, columns):
+    table = [
+        Staircase((share,), (1.0,), column)
+        for share, column in product(_SHARES, columns)
+    ]
+    for (first, second), steps, column in product(
+        permutations(_SHARES, 2), _STEPS, columns
+    ):
         ends = tuple(((np.arange(steps) + 1) / steps).tolist())
         table.append(Staircase((first, second) * (steps // 2), ends, column))
     return table
@@ -569,7 +628,9 @@ def _maximal_sequence() -> NDArray[np.bool_]:
     return np.array(values)
 
 
-def _plain(rows: FloatArray, base: FloatArray, levels: FloatArray) -> dict[str, FloatArray]:
+def _plain(
+    rows: FloatArray, base: FloatArray, levels: FloatArray
+) -> dict[str, FloatArray]:
     """What one would do without a computer in the same time: a step by a tenth of the range, to the side with
     more room, a random binary sequence of as much to both sides, nothing."""
     low, high = levels
@@ -589,7 +650,9 @@ def _plain(rows: FloatArray, base: FloatArray, levels: FloatArray) -> dict[str, 
 class _Search:
     """Runs courses on all twins of a family, and rates them by a goal."""
 
-    def __init__(self, members: Sequence[TriedTwin], goal: LearningGoal, terms: ExperimentTerms) -> None:
+    def __init__(
+        self, members: Sequence[TriedTwin], goal: LearningGoal, terms: ExperimentTerms
+    ) -> None:
         self.goal = goal
         self.terms = terms
         contending = [contender.twin for contender in goal.contenders]
@@ -601,15 +664,20 @@ class _Search:
             law = taken_by(plant, law if isinstance(law, TwoLevel) else as_linear(law))
         self.law = law
         self.starts = {
-            id(contender.twin): _start(contender, terms) for contender in (*goal.contenders, *self.family)
+            id(contender.twin): _start(contender, terms)
+            for contender in (*goal.contenders, *self.family)
         }
         self.base = terms.before if law is not None else self.starts[id(members[0])][1]
-        self.marks = np.unique(np.linspace(1, terms.size, _EFFORT.marks).round().astype(int))
+        self.marks = np.unique(
+            np.linspace(1, terms.size, _EFFORT.marks).round().astype(int)
+        )
 
     def rows(self, staircase: Staircase) -> FloatArray:
         return staircase.rows(self.base, self.terms.levels, self.terms.size)
 
-    def curve(self, staircase: Staircase, *, leaders: bool = False) -> FloatArray | None:
+    def curve(
+        self, staircase: Staircase, *, leaders: bool = False
+    ) -> FloatArray | None:
         """Characters at every mark, of the leaders nearly; None if a band leaves the range."""
         rows = self.rows(staircase)
         contenders = self.goal.contenders
@@ -618,16 +686,22 @@ class _Search:
         runs = [self.run(contender, rows) for contender in contenders]
         if not all(run.within(self.terms.outputs) for run in runs):
             return None
-        if not leaders and not all(self.run(twin, rows).within(self.terms.outputs) for twin in self.others):
+        if not leaders and not all(
+            self.run(twin, rows).within(self.terms.outputs) for twin in self.others
+        ):
             return None
         return self._characters(runs, self.marks, from_one_side=leaders)
 
-    def rated(self, staircase: Staircase, *, leaders: bool = False) -> _RatedCourse | None:
+    def rated(
+        self, staircase: Staircase, *, leaders: bool = False
+    ) -> _RatedCourse | None:
         """A course with its curve; None if a band leaves the range."""
         curve = self.curve(staircase, leaders=leaders)
         return None if curve is None else _RatedCourse(curve, staircase)
 
-    def polished(self, course: _RatedCourse, cost: Callable[[_RatedCourse], float]) -> _RatedCourse:
+    def polished(
+        self, course: _RatedCourse, cost: Callable[[_RatedCourse], float]
+    ) -> _RatedCourse:
         """The course of least cost that small movements of levels and times lead to."""
         best = course
         for movement in _EFFORT.movements:
@@ -648,9 +722,13 @@ class _Search:
         open_share = np.linalg.inv(_information(family[0].slopes, end)[0])[:n, :n]
         covariance = root @ open_share @ root.T
         characters = float(self._characters(runs, end)[0])
-        return CourseWorth(name, rows, characters, is_within, np.sqrt(np.diag(covariance)), family)
+        return CourseWorth(
+            name, rows, characters, is_within, np.sqrt(np.diag(covariance)), family
+        )
 
-    def run(self, contender: Contender, rows: FloatArray, commands: FloatArray | None = None) -> PredictedRun:
+    def run(
+        self, contender: Contender, rows: FloatArray, commands: FloatArray | None = None
+    ) -> PredictedRun:
         """A contender over a course, or under these commands."""
         twin = contender.twin
         model = twin.parameters.model
@@ -681,11 +759,15 @@ class _Search:
         noise = model.noise if twin.noise is None else twin.noise
         slopes = slopes / noise[:, None]
         if self.terms.offset:
-            by_offset = np.tile(self.terms.offset * np.eye(noise.size), (len(outputs), 1, 1))
+            by_offset = np.tile(
+                self.terms.offset * np.eye(noise.size), (len(outputs), 1, 1)
+            )
             slopes = np.concatenate([slopes, by_offset], axis=2)
         return PredictedRun(outputs, sent, slopes, noise)
 
-    def _commands(self, contender: Contender, rows: FloatArray, steady: FloatArray) -> FloatArray:
+    def _commands(
+        self, contender: Contender, rows: FloatArray, steady: FloatArray
+    ) -> FloatArray:
         """The commands over a course, shape (N, m): those of the law; without one the course itself."""
         if self.law is None:
             return rows
@@ -694,7 +776,9 @@ class _Search:
         states, inputs = self.starts[id(twin)]
         model = twin.parameters.model
         law = self.law if share == 1.0 else _weakened(self.law, share, model.rest)
-        outputs = model.kernels.outputs_at(twin.parameters.vector, states, inputs, steady[0])[0]
+        outputs = model.kernels.outputs_at(
+            twin.parameters.vector, states, inputs, steady[0]
+        )[0]
         run = simulate_closed_loop(
             twin.parameters,
             rows,
@@ -706,7 +790,11 @@ class _Search:
         return np.asarray(model.rest + (run.inputs - model.rest) / share)
 
     def _characters(
-        self, runs: Sequence[PredictedRun], marks: NDArray[np.int64], *, from_one_side: bool = False
+        self,
+        runs: Sequence[PredictedRun],
+        marks: NDArray[np.int64],
+        *,
+        from_one_side: bool = False,
     ) -> FloatArray:
         """What is known at these ends of a course.
 
@@ -720,7 +808,11 @@ class _Search:
         return np.asarray(np.mean(learned, axis=0))
 
     def _nearest_rivals(
-        self, runs: Sequence[PredictedRun], marks: NDArray[np.int64], *, from_one_side: bool
+        self,
+        runs: Sequence[PredictedRun],
+        marks: NDArray[np.int64],
+        *,
+        from_one_side: bool,
     ) -> list[FloatArray]:
         """Of every contender, the characters that its nearest rival loses."""
         apart: dict[tuple[int, int], FloatArray] = {}
@@ -731,10 +823,14 @@ class _Search:
                 apart[a, b] = self._apart(runs[a], self.goal.contenders[b], marks)
         nearest = []
         for a in range(len(runs)):
-            nearest.append(np.min([apart[a, b] for b in range(len(runs)) if b != a], axis=0))
+            nearest.append(
+                np.min([apart[a, b] for b in range(len(runs)) if b != a], axis=0)
+            )
         return nearest
 
-    def _learned(self, k: int, run: PredictedRun, marks: NDArray[np.int64]) -> FloatArray:
+    def _learned(
+        self, k: int, run: PredictedRun, marks: NDArray[np.int64]
+    ) -> FloatArray:
         """Characters that a course tells of contender number k: of its open parameters, or of the
         combination that is asked for."""
         information = _information(run.slopes, marks)
@@ -747,7 +843,9 @@ class _Search:
         left_open = np.linalg.solve(information, repeated)[:, :, 0] @ direction
         return np.asarray(0.5 * np.log2(direction @ direction / left_open))
 
-    def _apart(self, run: PredictedRun, rival: Contender, marks: NDArray[np.int64]) -> FloatArray:
+    def _apart(
+        self, run: PredictedRun, rival: Contender, marks: NDArray[np.int64]
+    ) -> FloatArray:
         """Characters that a contender's readings cost its rival, fitted to them again, at these ends."""
         rival_run = self.run(rival, run.outputs, run.inputs)
         miss = (run.outputs - rival_run.outputs) / rival_run.noise
@@ -769,7 +867,11 @@ def _information(slopes: FloatArray, marks: NDArray[np.int64]) -> FloatArray:
 def _characters_of(whole: FloatArray, known: int) -> FloatArray:
     """What readings tell of the first parameters, given I + JᵀJ of all, shape (marks, n, n)."""
     nuisance = whole[:, known:, known:]
-    return np.asarray(0.5 * (np.linalg.slogdet(whole)[1] - np.linalg.slogdet(nuisance)[1]) / math.log(2.0))
+    return np.asarray(
+        0.5
+        * (np.linalg.slogdet(whole)[1] - np.linalg.slogdet(nuisance)[1])
+        / math.log(2.0)
+    )
 
 
 def _root(contender: Contender) -> FloatArray:
@@ -780,13 +882,17 @@ def _root(contender: Contender) -> FloatArray:
     return np.asarray(modes * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _start(contender: Contender, terms: ExperimentTerms) -> tuple[FloatArray, FloatArray]:
+def _start(
+    contender: Contender, terms: ExperimentTerms
+) -> tuple[FloatArray, FloatArray]:
     """States and acting inputs at the first sample: the twin's own, or where it is held."""
     twin = contender.twin
     if twin.states is not None and twin.inputs is not None:
         return twin.states, twin.inputs
     try:
-        rest_point = terms.holding.linear(twin.parameters, terms.before.tolist(), twin.disturbances).rest
+        rest_point = terms.holding.linear(
+            twin.parameters, terms.before.tolist(), twin.disturbances
+        ).rest
     except PlantError as error:
         raise ControllerError(f"experiment: {twin.name}: {error}") from error
     return rest_point.states, rest_point.inputs
@@ -798,7 +904,7 @@ def _weakened(law: Law, share: float, rest: FloatArray) -> Law:
         off = float(rest[0] + share * (law.off - rest[0]))
         on = float(rest[0] + share * (law.on - rest[0]))
         return replace(law, off=off, on=on)
-    assert isinstance(law, LinearLaw)  # noqa: S101 (the search converts)
+    assert isinstance(law, LinearLaw)  # noqa: S101
     of_rest = (1.0 - share) * rest
     return replace(
         law,

@@ -42,7 +42,10 @@ class Reproduction(NamedTuple):
 
 
 def reproduced(
-    law: LinearLaw | TwoLevel, references: FloatArray, readings: FloatArray, inputs: FloatArray
+    law: LinearLaw | TwoLevel,
+    references: FloatArray,
+    readings: FloatArray,
+    inputs: FloatArray,
 ) -> Reproduction:
     """Run a law over recorded set-points, shape (N, r), and readings, shape (N, o), beside the recorded
     commands, shape (N, m).
@@ -76,4 +79,6 @@ def _first_state(
         powers.append(powers[-1] @ (law.A + law.G @ law.C))
     from_zero = commands_of(law.code, zero, references[:size], readings[:size])[0]
     of_state = (inputs[:size] - from_zero).ravel()
-    return np.array(np.linalg.lstsq(np.vstack(powers), of_state, rcond=_FIRST.determined)[0])
+    return np.array(
+        np.linalg.lstsq(np.vstack(powers), of_state, rcond=_FIRST.determined)[0]
+    )

@@ -64,7 +64,7 @@ def loaded(law: Law, load: FloatArray) -> Law:
     if isinstance(law, TwoLevel):
         step = float(load[0])
         return replace(law, off=law.off + step, on=law.on + step)
-    assert isinstance(law, LinearLaw)  # noqa: S101 (callers convert)
+    assert isinstance(law, LinearLaw)  # noqa: S101
     return replace(
         law,
         offset=law.offset + load,
@@ -81,15 +81,19 @@ def taken_by(plant: type[Plant], law: Law) -> Law:
     Raises:
         PlantError: a drive takes none of its commands.
     """
-    drive_low, drive_high = np.array([drive.limits for drive in plant.drives.values()]).T
+    drive_low, drive_high = np.array(
+        [drive.limits for drive in plant.drives.values()]
+    ).T
     if isinstance(law, TwoLevel):
         levels = np.clip((law.off, law.on), drive_low[0], drive_high[0]).tolist()
         return replace(law, off=levels[0], on=levels[1])
-    assert isinstance(law, LinearLaw)  # noqa: S101 (callers convert)
+    assert isinstance(law, LinearLaw)  # noqa: S101
     low = np.maximum(law.low, drive_low)
     high = np.minimum(law.high, drive_high)
     if not (low < high).all():
-        raise PlantError("the law's limits leave nothing of what the drives take; give limits within theirs")
+        raise PlantError(
+            "the law's limits leave nothing of what the drives take; give limits within theirs"
+        )
     if np.array_equal(low, law.low) and np.array_equal(high, law.high):
         return law
     return replace(law, drives=np.array([low, high]))
@@ -105,7 +109,8 @@ def limits_of(law: Law) -> FloatArray:
 def counted_range(output: Output) -> tuple[float, float]:
     """The range that an output must not leave: what is declared safe, its span where nothing is."""
     low, high = (
-        safe if math.isfinite(safe) else end for safe, end in zip(output.safe, output.span, strict=True)
+        safe if math.isfinite(safe) else end
+        for safe, end in zip(output.safe, output.span, strict=True)
     )
     return low, high
 
@@ -120,7 +125,9 @@ def conduct_of(run: Run, size: int, law: Law, plant: type[Plant]) -> dict[str, b
     for j, (name, output) in enumerate(plant.outputs.items()):
         y = run.outputs[:, j]
         low, high = counted_range(output)
-        conduct[f"{name} leaves {low:g} to {high:g} {output.unit}"] = not ((low <= y) & (y <= high)).all()
+        conduct[f"{name} leaves {low:g} to {high:g} {output.unit}"] = not (
+            (low <= y) & (y <= high)
+        ).all()
         if isinstance(law, LinearLaw):
             settles = _settles(y[end:], run.references[:, j], output)
             conduct[f"{name} does not settle after the profile"] = not settles
@@ -130,8 +137,12 @@ def conduct_of(run: Run, size: int, law: Law, plant: type[Plant]) -> dict[str, b
     low_limits, high_limits = limits_of(law)
     is_limited = (run.inputs <= low_limits) | (run.inputs >= high_limits)
     for i, name in enumerate(plant.drives):
-        mostly_limited = np.mean(is_limited[:, i]) > _SAFE.limited or is_limited[end:, i].all()
-        conduct[f"{name} is at a limit for the greater part of the time"] = bool(mostly_limited)
+        mostly_limited = (
+            np.mean(is_limited[:, i]) > _SAFE.limited or is_limited[end:, i].all()
+        )
+        conduct[f"{name} is at a limit for the greater part of the time"] = bool(
+            mostly_limited
+        )
     return conduct
 
 
@@ -150,7 +161,9 @@ def _stops_switching(run: Run, size: int) -> bool:
     return bool(departs or np.ptp(u) == 0)
 
 
-def state_holding(law: Law, references: FloatArray, outputs: FloatArray, inputs: FloatArray) -> FloatArray:
+def state_holding(
+    law: Law, references: FloatArray, outputs: FloatArray, inputs: FloatArray
+) -> FloatArray:
     """The state in which a law gives these commands at these readings for as long as they last, shape (q,).
 
     A law without integral action has none that fits exactly; then the nearest.
@@ -158,12 +171,14 @@ def state_holding(law: Law, references: FloatArray, outputs: FloatArray, inputs:
     if isinstance(law, TwoLevel):
         is_on = float(inputs[0] > 0.5 * (law.off + law.on))
         return np.array([is_on, law.least_on + law.least_off, float(outputs[0])])
-    assert isinstance(law, LinearLaw)  # noqa: S101 (callers convert)
+    assert isinstance(law, LinearLaw)  # noqa: S101
     # u = C·x + D·y + E·r + offset and x = A·x + B·y + F·r + G·u + shift
     of_command = inputs - law.D @ outputs - law.E @ references - law.offset
     of_state = law.B @ outputs + law.F @ references + law.G @ inputs + law.shift
     rows = np.vstack([law.C, np.eye(law.n_states) - law.A])
-    state: FloatArray = np.linalg.lstsq(rows, np.concatenate([of_command, of_state]), rcond=None)[0]
+    state: FloatArray = np.linalg.lstsq(
+        rows, np.concatenate([of_command, of_state]), rcond=None
+    )[0]
     return state
 
 
@@ -192,7 +207,9 @@ def run_law(
     model = parameters.model
     size = len(references)
     row = model.disturbance_row(disturbances)
-    readings: FloatArray = model.kernels.outputs_at(parameters.vector, begun, inputs, row)[0]
+    readings: FloatArray = model.kernels.outputs_at(
+        parameters.vector, begun, inputs, row
+    )[0]
     zeros = np.zeros((size, readings.size))
     reading_noise = zeros if noise is None else noise
     distance = zeros if slow is None else slow
@@ -201,11 +218,19 @@ def run_law(
         references,
         states=begun,
         law=law if load is None else loaded(law, load),
-        controller=state_holding(law, before, readings, inputs) if state is None else state,
+        controller=state_holding(law, before, readings, inputs)
+        if state is None
+        else state,
         disturbances=np.tile(row, (size, 1)),
-        sensor=SensorRealisation(reading_noise + distance, np.zeros(size, dtype=np.bool_), 0.0),
+        sensor=SensorRealisation(
+            reading_noise + distance, np.zeros(size, dtype=np.bool_), 0.0
+        ),
     )
-    return Run(references, run.outputs - reading_noise, run.inputs if load is None else run.inputs - load)
+    return Run(
+        references,
+        run.outputs - reading_noise,
+        run.inputs if load is None else run.inputs - load,
+    )
 
 
 class StepFigures(NamedTuple):
@@ -217,7 +242,9 @@ class StepFigures(NamedTuple):
     """Longest time until it stays within `SETTLED` of a step, s; infinite if it does not before the next."""
 
 
-def step_figures(reference: FloatArray, output: FloatArray, noise: float, period: float) -> StepFigures:
+def step_figures(
+    reference: FloatArray, output: FloatArray, noise: float, period: float
+) -> StepFigures:
     """How an output follows all steps of its set-point, each until the next one; arrays of shape (N,)."""
     places = np.flatnonzero(np.diff(reference)) + 1
     overshoots = []
@@ -226,7 +253,10 @@ def step_figures(reference: FloatArray, output: FloatArray, noise: float, period
         step = reference[first] - reference[first - 1]
         error = (output[first:last] - reference[first]) * math.copysign(1.0, step)
         overshoots.append(max(float(error.max()), 0.0))
-        times.append(period * _samples_to_settle(error, max(SETTLED * abs(step), _SAFE.noise * noise)))
+        times.append(
+            period
+            * _samples_to_settle(error, max(SETTLED * abs(step), _SAFE.noise * noise))
+        )
     return StepFigures(max(overshoots, default=math.nan), max(times, default=math.nan))
 
 
@@ -264,15 +294,23 @@ def quantities_of(
             figures |= _figures_of_output(run, j, name, output, law.period)
             for drive_name, load in zip(plant.drives, loads, strict=True):
                 place = "" if len(plant.drives) == 1 else f" at {drive_name}"
-                excursion = CourseFigure(f"excursion after a load{place}", name, output.unit)
-                figures[excursion] = float(np.abs(load.outputs[:, j] - still.outputs[:, j]).max())
+                excursion = CourseFigure(
+                    f"excursion after a load{place}", name, output.unit
+                )
+                figures[excursion] = float(
+                    np.abs(load.outputs[:, j] - still.outputs[:, j]).max()
+                )
         if len(outputs) > 1 and len({output.unit for output in outputs}) == 1:
-            error_of_all = CourseFigure("mean squared error", "all outputs", f"{outputs[0].unit}²")
+            error_of_all = CourseFigure(
+                "mean squared error", "all outputs", f"{outputs[0].unit}²"
+            )
             figures[error_of_all] = _mean_squared_error(run)
         if isinstance(law, TwoLevel):
             return figures | _cycle(run, outputs[0].unit, law.period)
         for i, (name, drive) in enumerate(plant.drives.items()):
-            figures |= _figures_of_drive(run.inputs[:, i], limits_of(law)[:, i], name, drive.unit, law.period)
+            figures |= _figures_of_drive(
+                run.inputs[:, i], limits_of(law)[:, i], name, drive.unit, law.period
+            )
     return figures
 
 
@@ -290,7 +328,9 @@ def _figures_of_output(
     y = run.outputs[:, j]
     steps = step_figures(reference, y, output.noise, period)
     return {
-        CourseFigure("mean squared error", name, f"{output.unit}²"): float(np.mean((y - reference) ** 2)),
+        CourseFigure("mean squared error", name, f"{output.unit}²"): float(
+            np.mean((y - reference) ** 2)
+        ),
         CourseFigure("overshoot", name, output.unit): steps.overshoot,
         CourseFigure("settling time", name, "s"): steps.settling,
         CourseFigure("lowest", name, output.unit): float(y.min()),

@@ -114,14 +114,18 @@ def retune(
         raise ControllerError(
             f"retune: the ceiling {max_sensitivity:g} and the largest change {most_change:g} must be above 1"
         )
-    tuning = _Tuning(gains, tuple(_cases(twins, gains, level, holding, aim)), aim, max_sensitivity)
+    tuning = _Tuning(
+        gains, tuple(_cases(twins, gains, level, holding, aim)), aim, max_sensitivity
+    )
     start = np.zeros(len(tuning.names))
     best = tuning.search(math.log(most_change))
     before = float(tuning.sensitivities(start).max())
     after = float(tuning.sensitivities(best).max())
     improvement = 1.0 - math.exp(tuning.criterion(best) - tuning.criterion(start))
     ceiling = max_sensitivity * (1 + _LIMITS.tolerance)
-    is_worse = aim == "quiet" and tuning.cost(best)[0] > tuning.cost(start)[0] * (1 + _LIMITS.tolerance)
+    is_worse = aim == "quiet" and tuning.cost(best)[0] > tuning.cost(start)[0] * (
+        1 + _LIMITS.tolerance
+    )
     gains_nothing = improvement < _LIMITS.least_gain or is_worse
     if after > max(ceiling, before) or (before <= ceiling and gains_nothing):
         why = f"there is nothing to gain within M_s ≤ {max_sensitivity:g} and a factor of {most_change:g}"
@@ -169,7 +173,9 @@ class _Tuning:
 
     def law(self, x: FloatArray) -> PidGains:
         """The PID whose gains are changed by the factors exp(x)."""
-        changes: dict[str, Any] = dict(zip(self.names, (self._first * np.exp(x)).tolist(), strict=True))
+        changes: dict[str, Any] = dict(
+            zip(self.names, (self._first * np.exp(x)).tolist(), strict=True)
+        )
         return replace(self.gains, **changes)
 
     def sensitivities(self, x: FloatArray) -> FloatArray:
@@ -177,7 +183,9 @@ class _Tuning:
         linear = as_linear(self.law(x))
         largest = []
         for case in self.cases:
-            of_plants = [WholeLoop(plant, linear).sensitivity() for plant in case.plants]
+            of_plants = [
+                WholeLoop(plant, linear).sensitivity() for plant in case.plants
+            ]
             largest.append(min(max(of_plants), _LIMITS.largest_sensitivity))
         return np.array(largest)
 
@@ -191,11 +199,13 @@ class _Tuning:
 
     def criterion(self, x: FloatArray) -> float:
         """Logarithm of what is made small."""
-        return math.log(_travel(self.law(x)) if self.aim == "quiet" else self.cost(x)[0])
+        return math.log(
+            _travel(self.law(x)) if self.aim == "quiet" else self.cost(x)[0]
+        )
 
     def _slope(self, x: FloatArray) -> FloatArray:
         """Derivatives of the criterion by x."""
-        from scipy.optimize import approx_fprime  # noqa: PLC0415 — slow to load, as below
+        from scipy.optimize import approx_fprime  # noqa: PLC0415
 
         if self.aim == "quiet":
             return np.asarray(approx_fprime(x, self.criterion), dtype=np.float64)
@@ -204,13 +214,15 @@ class _Tuning:
 
     def search(self, reach: float) -> FloatArray:
         """The best x within ± reach, by sequential quadratic programming."""
-        from scipy.optimize import Bounds, NonlinearConstraint, minimize  # noqa: PLC0415 — half a second
+        from scipy.optimize import Bounds, NonlinearConstraint, minimize  # noqa: PLC0415
 
         start = np.zeros(len(self.names))
         origin = self.cost(start)[0]
         limits = [NonlinearConstraint(self.sensitivities, -np.inf, self.ceiling)]
         if self.aim == "quiet":
-            limits.append(NonlinearConstraint(lambda x: [self.cost(x)[0] / origin], -np.inf, 1.0))
+            limits.append(
+                NonlinearConstraint(lambda x: [self.cost(x)[0] / origin], -np.inf, 1.0)
+            )
         solution = minimize(
             self.criterion,
             start,
@@ -231,12 +243,18 @@ def _tuned(gains: PidGains) -> tuple[str, ...]:
     """
     names = tuple(name for name in TUNED if getattr(gains, name) != 0.0)
     if not names:
-        raise ControllerError("retune: all gains of the PID are zero; there is nothing to begin with")
+        raise ControllerError(
+            "retune: all gains of the PID are zero; there is nothing to begin with"
+        )
     return names
 
 
 def _cases(
-    twins: Sequence[TriedTwin], gains: PidGains, level: float, holding: Holding, aim: Aim
+    twins: Sequence[TriedTwin],
+    gains: PidGains,
+    level: float,
+    holding: Holding,
+    aim: Aim,
 ) -> list[_Case]:
     cases = []
     error = "there is none"
@@ -250,7 +268,9 @@ def _cases(
     return cases
 
 
-def _case(twin: TriedTwin, gains: PidGains, level: float, holding: Holding, aim: Aim) -> _Case:
+def _case(
+    twin: TriedTwin, gains: PidGains, level: float, holding: Holding, aim: Aim
+) -> _Case:
     """One twin at a set-point: a step of it, or a load as an integral that begins off by it."""
     plant = holding.linear(twin.parameters, [level], twin.disturbances)
     model = twin.parameters.model
@@ -269,11 +289,23 @@ def _case(twin: TriedTwin, gains: PidGains, level: float, holding: Holding, aim:
         load = LOAD * (high - low)
         inputs -= load if u - load > gains.low else -load
     rows = np.tile(row, (size, 1))
-    window = Window(reference, np.full(size, y), inputs, period=gains.period, disturbances=rows)
-    experiment = Experiment(
-        twin.parameters, (), window, free_starts=model.states, free_gains=_tuned(gains), law=gains
+    window = Window(
+        reference, np.full(size, y), inputs, period=gains.period, disturbances=rows
     )
-    return _Case(_around(twin, level, holding), experiment, plant.rest.states, reference[SKIPPED:])
+    experiment = Experiment(
+        twin.parameters,
+        (),
+        window,
+        free_starts=model.states,
+        free_gains=_tuned(gains),
+        law=gains,
+    )
+    return _Case(
+        _around(twin, level, holding),
+        experiment,
+        plant.rest.states,
+        reference[SKIPPED:],
+    )
 
 
 def _around(twin: TriedTwin, level: float, holding: Holding) -> tuple[Linear, ...]:
@@ -283,7 +315,11 @@ def _around(twin: TriedTwin, level: float, holding: Holding) -> tuple[Linear, ..
     low, high = output.set_points or output.span
     for shift in (0.0, STEP, -STEP):
         try:
-            plants.append(holding.linear(twin.parameters, [level + shift * (high - low)], twin.disturbances))
+            plants.append(
+                holding.linear(
+                    twin.parameters, [level + shift * (high - low)], twin.disturbances
+                )
+            )
         except PlantError:
             continue  # the drive does not reach that far
     return tuple(plants)

@@ -12,7 +12,14 @@ import numpy as np
 
 from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.whole_loop import ChannelMargins, WholeLoop
-from twinmatch.dynamics import Linear, LinearLaw, Parameters, PlantError, begin, simulate_driven
+from twinmatch.dynamics import (
+    Linear,
+    LinearLaw,
+    Parameters,
+    PlantError,
+    begin,
+    simulate_driven,
+)
 from twinmatch.signals import FloatArray
 
 MAX_UNSTABLE: Final = 0.01
@@ -99,11 +106,17 @@ def stability_of(
         eigenvalue=sizes[worst],
         point=worst,
         drawn=tuple(held_draws),
-        eigenvalues=np.array([_largest_eigenvalue(loops_of_draw) for loops_of_draw in loops_of_draws]),
-        margins=tuple(_least_margins(channel) for channel in zip(*margins, strict=True)),
+        eigenvalues=np.array(
+            [_largest_eigenvalue(loops_of_draw) for loops_of_draw in loops_of_draws]
+        ),
+        margins=tuple(
+            _least_margins(channel) for channel in zip(*margins, strict=True)
+        ),
         sensitivity=max(loop.sensitivity() for loop in loops.values()),
         plants={point: loop.plant for point, loop in loops.items()},
-        others=tuple(loop.plant for loop in chain.from_iterable(loops_of_draws[:COMPARED])),
+        others=tuple(
+            loop.plant for loop in chain.from_iterable(loops_of_draws[:COMPARED])
+        ),
     )
 
 
@@ -123,7 +136,9 @@ def _loops(
     error = ""
     for point in points:
         try:
-            loops[point] = WholeLoop(holding.linear(parameters, point, disturbances), law)
+            loops[point] = WholeLoop(
+                holding.linear(parameters, point, disturbances), law
+            )
         except PlantError as reason:
             error = str(reason)
     return loops, error
@@ -151,7 +166,9 @@ class OpenQuestion:
     """That step, in the drive's unit."""
 
 
-def open_question(stability: MemberStability, point: Sequence[float], holding: Holding) -> OpenQuestion:
+def open_question(
+    stability: MemberStability, point: Sequence[float], holding: Holding
+) -> OpenQuestion:
     """The parameter that decides over the draws, and the step after which the outputs show it most."""
     name = _deciding_parameter(stability)
     values = [draw[name] for draw in stability.drawn]
@@ -163,7 +180,8 @@ def open_question(stability: MemberStability, point: Sequence[float], holding: H
         for drive, declared in parameters.model.plant.drives.items()
     }
     differences = {
-        drive: _difference((lowest, highest), drive, step, point, holding) for drive, step in steps.items()
+        drive: _difference((lowest, highest), drive, step, point, holding)
+        for drive, step in steps.items()
     }
     best = max(differences, key=differences.__getitem__)
     return OpenQuestion(name, best, steps[best])
@@ -176,7 +194,9 @@ def _deciding_parameter(stability: MemberStability) -> str:
     for draw in stability.drawn:
         rows.append([draw[name] for name in free])
     values = np.array(rows)
-    sizes = np.where(np.isfinite(stability.eigenvalues), stability.eigenvalues, UNBOUNDED)
+    sizes = np.where(
+        np.isfinite(stability.eigenvalues), stability.eigenvalues, UNBOUNDED
+    )
     with np.errstate(all="ignore"):
         deviations = (values - values.mean(axis=0)) / values.std(axis=0)
         related = np.nan_to_num(np.abs(deviations.T @ (sizes - sizes.mean())))
@@ -184,7 +204,11 @@ def _deciding_parameter(stability: MemberStability) -> str:
 
 
 def _difference(
-    pair: tuple[Parameters, Parameters], drive: str, step: float, point: Sequence[float], holding: Holding
+    pair: tuple[Parameters, Parameters],
+    drive: str,
+    step: float,
+    point: Sequence[float],
+    holding: Holding,
 ) -> float:
     """RMS difference of two plants after a step of a drive, in the outputs' noise."""
     model = pair[0].model
@@ -201,8 +225,13 @@ def _movement(
     states = begin(parameters, point)
     size = holding.samples
     rest = parameters.model.rest
-    still = simulate_driven(parameters, np.tile(rest, (size, 1)), states=states, period=holding.period)
+    still = simulate_driven(
+        parameters, np.tile(rest, (size, 1)), states=states, period=holding.period
+    )
     driven = simulate_driven(
-        parameters, np.tile(rest + change, (size, 1)), states=states, period=holding.period
+        parameters,
+        np.tile(rest + change, (size, 1)),
+        states=states,
+        period=holding.period,
     )
     return np.asarray(still.outputs - driven.outputs)

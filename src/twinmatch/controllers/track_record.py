@@ -14,7 +14,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from twinmatch.controllers.answer import CONFIDENCE, ControllerAnswer, ControllerDecision, Courses
+from twinmatch.controllers.answer import (
+    CONFIDENCE,
+    ControllerAnswer,
+    ControllerDecision,
+    Courses,
+)
 from twinmatch.controllers.responses import LOAD
 from twinmatch.signals import FloatArray
 
@@ -65,7 +70,11 @@ class LawComparison:
     @property
     def off(self) -> float:
         """Distance of the measured cost from the predicted one, in half widths of its band on that side."""
-        width = self.high - self.median if self.measured > self.median else self.median - self.low
+        width = (
+            self.high - self.median
+            if self.measured > self.median
+            else self.median - self.low
+        )
         distance = abs(self.measured - self.median)
         if width > 0:
             return distance / width
@@ -98,9 +107,17 @@ def compared(
     is_seen = seen.astype(bool)
     recorded = readings[is_seen]
     errors = recorded - answer.references[is_seen]
-    costs = [(figure, spread) for figure, spread in answer.courses.figures.items() if figure.name == COST]
+    costs = [
+        (figure, spread)
+        for figure, spread in answer.courses.figures.items()
+        if figure.name == COST
+    ]
     cost, spread = costs[-1]  # that of all outputs follows those of each
-    columns = [j for j, name in enumerate(answer.plant.outputs) if cost.signal in {name, "all outputs"}]
+    columns = [
+        j
+        for j, name in enumerate(answer.plant.outputs)
+        if cost.signal in {name, "all outputs"}
+    ]
     of_noise = noise[columns] ** 2
     measured = float(np.sum(np.mean(errors[:, columns] ** 2, axis=0) - of_noise))
     predicted = answer.courses.outputs[:, is_seen]
@@ -118,7 +135,9 @@ def compared(
     }
 
 
-def _share_in_bands(recorded: FloatArray, predicted: FloatArray, noise: FloatArray) -> float:
+def _share_in_bands(
+    recorded: FloatArray, predicted: FloatArray, noise: FloatArray
+) -> float:
     """Share of readings, shape (N, o), within low, median and high of the outputs, shape (3, N, o), widened
     by their noise."""
     low, median, high = predicted
@@ -128,7 +147,9 @@ def _share_in_bands(recorded: FloatArray, predicted: FloatArray, noise: FloatArr
     return float(np.mean((recorded >= median - below) & (recorded <= median + above)))
 
 
-def _was_stable(answer: ControllerAnswer, recorded: FloatArray, errors: FloatArray) -> bool:
+def _was_stable(
+    answer: ControllerAnswer, recorded: FloatArray, errors: FloatArray
+) -> bool:
     """Whether readings stayed where it is safe and, in the last third, near the set-points; both (N, o)."""
     outputs = answer.plant.outputs.values()
     steps = np.abs(np.diff(answer.references, axis=0)).max(axis=0, initial=0.0)
@@ -143,7 +164,9 @@ def _was_stable(answer: ControllerAnswer, recorded: FloatArray, errors: FloatArr
 def widening_of(comparisons: Iterable[LawComparison]) -> tuple[float, int]:
     """The factor on the half widths of predicted costs that these comparisons show to be needed, 1 or more;
     and on how many of them it rests: those with a finite band, of laws that were not to fail."""
-    not_to_fail = [c for c in comparisons if c.decision != ControllerDecision.FAILS.value]
+    not_to_fail = [
+        c for c in comparisons if c.decision != ControllerDecision.FAILS.value
+    ]
     distances = sorted(c.off for c in not_to_fail if math.isfinite(c.off))
     number = len(distances)
     if number < MIN_COMPARISONS:
@@ -152,7 +175,9 @@ def widening_of(comparisons: Iterable[LawComparison]) -> tuple[float, int]:
     return max(distances[rank - 1], 1.0), number
 
 
-def widened(answer: ControllerAnswer, comparisons: Iterable[LawComparison]) -> ControllerAnswer:
+def widened(
+    answer: ControllerAnswer, comparisons: Iterable[LawComparison]
+) -> ControllerAnswer:
     """The answer with bands of its costs as wide as the track record asks for, and a note that says so."""
     factor, number = widening_of(comparisons)
     if factor == 1.0:
@@ -163,7 +188,13 @@ def widened(answer: ControllerAnswer, comparisons: Iterable[LawComparison]) -> C
     )
     running = None if answer.running is None else _wider(answer.running, factor)
     courses = _wider(answer.courses, factor)
-    return replace(answer, courses=courses, running=running, widening=factor, notes=(*answer.notes, note))
+    return replace(
+        answer,
+        courses=courses,
+        running=running,
+        widening=factor,
+        notes=(*answer.notes, note),
+    )
 
 
 def _wider(courses: Courses, factor: float) -> Courses:

@@ -48,7 +48,9 @@ class TrialAnswer(NamedTuple):
     high: FloatArray
 
 
-def try_now(members: Sequence[TriedTwin], law: Law, holding: Holding, before: FloatArray) -> TrialAnswer:
+def try_now(
+    members: Sequence[TriedTwin], law: Law, holding: Holding, before: FloatArray
+) -> TrialAnswer:
     """Try a law on twins as they are now, with the set-points held for as long as the plant takes to settle.
 
     The bands of a law that is safe are its own. One that is not is to do as well as the one that runs: its
@@ -59,15 +61,26 @@ def try_now(members: Sequence[TriedTwin], law: Law, holding: Holding, before: Fl
         PlantError: the law is for another number of signals.
     """
     if holding.law is None:
-        raise ControllerError("controller: the law that runs is not known, so none could be given back")
+        raise ControllerError(
+            "controller: the law that runs is not known, so none could be given back"
+        )
     references = np.tile(before, (holding.samples, 1))
-    answer = try_controller(members, ControllerQuestion(law, references, before, holding, DRAWS))
+    answer = try_controller(
+        members, ControllerQuestion(law, references, before, holding, DRAWS)
+    )
     noise = members[0].parameters.model.noise
     running = answer.running
-    if running is not None and (np.ptp(running.outputs[1], axis=0) > _BANDS.still * noise).any():
-        raise ControllerError("controller: the outputs have not settled yet; wait until they rest")
+    if (
+        running is not None
+        and (np.ptp(running.outputs[1], axis=0) > _BANDS.still * noise).any()
+    ):
+        raise ControllerError(
+            "controller: the outputs have not settled yet; wait until they rest"
+        )
     is_safe = answer.decision is ControllerDecision.SAFE
     courses = answer.courses if is_safe or running is None else running
     low, median, high = courses.outputs
-    half = _BANDS.factor * np.maximum(high - median, median - low) + _BANDS.noise * noise
+    half = (
+        _BANDS.factor * np.maximum(high - median, median - low) + _BANDS.noise * noise
+    )
     return TrialAnswer(answer, median - half, median + half)

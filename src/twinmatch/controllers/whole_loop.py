@@ -60,7 +60,9 @@ class ChannelMargins(NamedTuple):
     @property
     def gain_change(self) -> float:
         """The smallest change of the gain that makes it unstable, as a factor of 1 or more."""
-        return min(self.gain_up, math.inf if self.gain_down == 0 else 1.0 / self.gain_down)
+        return min(
+            self.gain_up, math.inf if self.gain_down == 0 else 1.0 / self.gain_down
+        )
 
 
 UNSTABLE: Final = ChannelMargins(1.0, 1.0, 0.0, math.inf)
@@ -100,8 +102,12 @@ class WholeLoop(NamedTuple):
     def _responses(self, angles: FloatArray) -> NDArray[np.complex128]:
         """How the law's commands answer loads at the plant's inputs, all loops closed, at frequencies in
         radians per sample; shape (f, m, m)."""
-        shifted = np.exp(1j * angles)[:, None, None] * np.eye(len(self.matrix)) - self.matrix
-        states = np.linalg.solve(shifted, np.broadcast_to(self._load, (angles.size, *self._load.shape)))
+        shifted = (
+            np.exp(1j * angles)[:, None, None] * np.eye(len(self.matrix)) - self.matrix
+        )
+        states = np.linalg.solve(
+            shifted, np.broadcast_to(self._load, (angles.size, *self._load.shape))
+        )
         return np.asarray(self._commands @ states, dtype=np.complex128)
 
     @having_value("the margin of the loop")
@@ -120,9 +126,13 @@ class WholeLoop(NamedTuple):
         values = self._responses(grid)
 
         def at(channel: int) -> _Response:
-            return lambda angle: complex(self._responses(np.array([angle]))[0, channel, channel])
+            return lambda angle: complex(
+                self._responses(np.array([angle]))[0, channel, channel]
+            )
 
-        return tuple(_margins(at(k), grid, values[:, k, k], self.plant.period) for k in channels)
+        return tuple(
+            _margins(at(k), grid, values[:, k, k], self.plant.period) for k in channels
+        )
 
     @having_value("the sensitivity of the loop")
     def sensitivity(self) -> float:
@@ -133,7 +143,11 @@ class WholeLoop(NamedTuple):
             UndefinedError: it has no value.
         """
         matrix = self.matrix
-        eigenvalues = np.linalg.eigvals(matrix) if np.isfinite(matrix).all() else np.array([np.inf])
+        eigenvalues = (
+            np.linalg.eigvals(matrix)
+            if np.isfinite(matrix).all()
+            else np.array([np.inf])
+        )
         if not np.abs(eigenvalues).max() < 1.0:
             return math.inf
         whole = np.eye(self._load.shape[1]) + self._responses(_frequencies(eigenvalues))
@@ -148,7 +162,10 @@ def _frequencies(eigenvalues: NDArray[Any]) -> FloatArray:
         width = max(abs(1.0 - abs(value)), 1e-6)
         grid.append(np.angle(value) + width * _AROUND)
     all_frequencies = np.unique(np.concatenate(grid))
-    return np.asarray(all_frequencies[(all_frequencies >= 0) & (all_frequencies <= np.pi)], dtype=np.float64)
+    return np.asarray(
+        all_frequencies[(all_frequencies >= 0) & (all_frequencies <= np.pi)],
+        dtype=np.float64,
+    )
 
 
 def _margins(
@@ -165,7 +182,9 @@ def _margins(
     )
 
 
-def _critical_gains(closed: _Response, grid: FloatArray, values: NDArray[np.complex128]) -> list[float]:
+def _critical_gains(
+    closed: _Response, grid: FloatArray, values: NDArray[np.complex128]
+) -> list[float]:
     """Factors k = 1 + 1/L on the gain with which an eigenvalue is on the unit circle."""
     crossings = _crossings(grid, values.imag, lambda w: closed(w).imag)
     real_parts = [closed(w).real for w in crossings]
@@ -173,7 +192,9 @@ def _critical_gains(closed: _Response, grid: FloatArray, values: NDArray[np.comp
     return [1.0 + 1.0 / real for real in real_parts if real != 0.0]
 
 
-def _critical_delays(closed: _Response, grid: FloatArray, values: NDArray[np.complex128]) -> list[float]:
+def _critical_delays(
+    closed: _Response, grid: FloatArray, values: NDArray[np.complex128]
+) -> list[float]:
     """Dead times, in samples, with which an eigenvalue is on the unit circle: T = L/(1 + L) has size 1."""
 
     def excess(response: Any) -> Any:
@@ -187,24 +208,31 @@ def _critical_delays(closed: _Response, grid: FloatArray, values: NDArray[np.com
     return delays
 
 
-def _crossings(grid: FloatArray, values: FloatArray, exact: Callable[[float], float]) -> list[float]:
+def _crossings(
+    grid: FloatArray, values: FloatArray, exact: Callable[[float], float]
+) -> list[float]:
     """Frequencies at which a quantity, known on the grid, is zero."""
-    from scipy.optimize import brentq  # noqa: PLC0415 — half a second that few of those who import this need
+    from scipy.optimize import brentq  # noqa: PLC0415
 
     signs = np.sign(values)
     places = np.flatnonzero(signs[1:] * signs[:-1] < 0)
     return [float(brentq(exact, grid[k], grid[k + 1], xtol=1e-14)) for k in places]
 
 
-def _sensitivity(closed: _Response, grid: FloatArray, values: NDArray[np.complex128]) -> float:
+def _sensitivity(
+    closed: _Response, grid: FloatArray, values: NDArray[np.complex128]
+) -> float:
     """The largest |1 + L|: the largest on the grid, or the top of the peak around it."""
-    from scipy.optimize import minimize_scalar  # noqa: PLC0415 — as above
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415
 
     sizes = np.abs(1.0 + values)
     k = int(np.argmax(sizes))
     low = grid[max(k - 1, 0)]
     high = grid[min(k + 1, grid.size - 1)]
     top = minimize_scalar(
-        lambda w: -abs(1.0 + closed(w)), bounds=(low, high), method="bounded", options={"xatol": 1e-9}
+        lambda w: -abs(1.0 + closed(w)),
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": 1e-9},
     )
     return max(-float(top.fun), float(sizes[k]))

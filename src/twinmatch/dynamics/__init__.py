@@ -69,7 +69,15 @@ from twinmatch.dynamics.simulation import (
     simulate_driven,
     simulate_window,
 )
-from twinmatch.dynamics.terms import DeadTime, dead_zone, dry_friction, limited, magnitude, maximum, minimum
+from twinmatch.dynamics.terms import (
+    DeadTime,
+    dead_zone,
+    dry_friction,
+    limited,
+    magnitude,
+    maximum,
+    minimum,
+)
 
 __all__ = [
     "FROM_PLANT_FILE",

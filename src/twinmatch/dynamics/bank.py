@@ -10,8 +10,6 @@ change times a trace, which is carried along as the error of the filter is (Will
 hypothesis is a vector, a mean and a variance of its size; none of them runs a filter of its own.
 """
 
-# ruff: noqa: PLR0917 (kernels take arrays in a row)
-
 from __future__ import annotations
 
 import math
@@ -21,7 +19,15 @@ import numpy as np
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics.filters import TrackedParameters, _carry, _expected, _move, _use
-from twinmatch.dynamics.kernels import N_UNKNOWN, OUTPUT_SLOPES, OUTPUTS, Code, Work, call, work_for
+from twinmatch.dynamics.kernels import (
+    N_UNKNOWN,
+    OUTPUT_SLOPES,
+    OUTPUTS,
+    Code,
+    Work,
+    call,
+    work_for,
+)
 from twinmatch.signals import FloatArray
 
 WIDE = 0.03
@@ -191,12 +197,16 @@ def _read(
     moves_far = moves_far / wide
     moved = near * moves + far * moves_far
     squares = near * moves * moves + far * moves_far * moves_far
-    gone = near * goes / (usual * usual) + far * goes_far / (wide * wide) - (squares - moved * moved)
+    gone = (
+        near * goes / (usual * usual)
+        + far * goes_far / (wide * wide)
+        - (squares - moved * moved)
+    )
     return math.log(total), moved, gone
 
 
 @compiled(inside=True)
-def _correct_traces(
+def _correct_traces(  # noqa: PLR0917
     fixed: BankConstants,
     traces: ChangeTraces,
     begin: int,
@@ -224,7 +234,9 @@ def _correct_traces(
         if a * a * (mean * mean + variance) < least:
             traces.now[t] += usual
             continue
-        shift, moves, goes = _read(fixed, r, i, off - a * mean, expected + a * a * variance)
+        shift, moves, goes = _read(
+            fixed, r, i, off - a * mean, expected + a * a * variance
+        )
         traces.now[t] += shift
         traces.mean[t] = mean + variance * a * moves
         traces.variance[t] = max(variance - goes * (variance * a) ** 2, 0.0)
@@ -233,7 +245,7 @@ def _correct_traces(
 
 
 @compiled(inside=True)
-def _carry_traces(
+def _carry_traces(  # noqa: PLR0917
     fixed: BankConstants,
     traces: ChangeTraces,
     rows: ChangeRows,
@@ -269,8 +281,13 @@ def _carry_traces(
 
 
 @compiled(inside=True)
-def _shown_by(
-    code: Code, free: TrackedParameters, vector: FloatArray, work: Work, i: int, slope: FloatArray
+def _shown_by(  # noqa: PLR0917
+    code: Code,
+    free: TrackedParameters,
+    vector: FloatArray,
+    work: Work,
+    i: int,
+    slope: FloatArray,
 ) -> None:
     """Derivatives of output i by states and parameters."""
     n = work.after.size - 1
@@ -279,11 +296,13 @@ def _shown_by(
         slope[j] = work.output_slopes[i * n + j]
     for j in range(free.places.size):
         derivative = work.output_slopes[o * n + i * code[N_UNKNOWN] + free.which[j]]
-        slope[n + j] = derivative * vector[free.places[j]] if free.logged[j] else derivative
+        slope[n + j] = (
+            derivative * vector[free.places[j]] if free.logged[j] else derivative
+        )
 
 
 @compiled(inside=True)
-def _move_member(
+def _move_member(  # noqa: PLR0917
     code: Code,
     fixed: BankConstants,
     at: FloatArray,
@@ -317,7 +336,17 @@ def _move_member(
     call(code[OUTPUT_SLOPES], at, inputs, d, work.p, work.b, work.output_slopes)
     for i in range(o):
         was[i] = work.outputs[i]
-    columns = _move(code, moved_states, inputs, d, work, fixed.period, fixed.steps, fixed.free.which, moved)
+    columns = _move(
+        code,
+        moved_states,
+        inputs,
+        d,
+        work,
+        fixed.period,
+        fixed.steps,
+        fixed.free.which,
+        moved,
+    )
     call(code[OUTPUTS], moved_states, inputs, d, work.p, work.b, work.outputs)
     for j in range(size):
         noises[j] = error * error * fixed.drift[j]
@@ -336,13 +365,15 @@ def _move_member(
             by_push = work.output_slopes[i * n + j] / max(shows, 1e-300)
             moved[j, fading + i] = by_push * fixed.period
             moved_states[j] += moved[j, fading + i] * at[fading + i]
-            noises[j] += (error * fixed.swift * (work.outputs[i] - was[i]) * by_push) ** 2
+            noises[j] += (
+                error * fixed.swift * (work.outputs[i] - was[i]) * by_push
+            ) ** 2
     for j in range(size):
         at[j] = moved_states[j] if j < n else at[j] * fixed.keeps[j]
 
 
 @compiled(inside=True)
-def _correct_member(
+def _correct_member(  # noqa: PLR0917
     code: Code,
     fixed: BankConstants,
     members: BankMembers,
@@ -369,7 +400,15 @@ def _correct_member(
         offset = size - 3 * o + i
         passing = size - 2 * o + i
         call(code[OUTPUTS], belief, fixed.rest, d, work.p, work.b, work.outputs)
-        call(code[OUTPUT_SLOPES], belief, fixed.rest, d, work.p, work.b, work.output_slopes)
+        call(
+            code[OUTPUT_SLOPES],
+            belief,
+            fixed.rest,
+            d,
+            work.p,
+            work.b,
+            work.output_slopes,
+        )
         _shown_by(code, fixed.free, vector, work, i, slope)
         slope[offset] = slope[passing] = 1.0
         expected = max(_expected(covariance, slope, reach), 0.0)
@@ -382,8 +421,22 @@ def _correct_member(
             gained, moves, goes = _read(fixed, r, i, innovation, expected)
             members.gained[b, i] = gained
             for j in range(size):
-                lost[j] = (moves / innovation if abs(innovation) > 1e-9 else goes) * reach[j]
-            _correct_traces(fixed, traces, begin, end, r, i, slope, lost, innovation, expected, gained)
+                lost[j] = (
+                    moves / innovation if abs(innovation) > 1e-9 else goes
+                ) * reach[j]
+            _correct_traces(
+                fixed,
+                traces,
+                begin,
+                end,
+                r,
+                i,
+                slope,
+                lost,
+                innovation,
+                expected,
+                gained,
+            )
             for j in range(size):
                 belief[j] += moves * reach[j]
                 for k in range(size):
@@ -394,7 +447,7 @@ def _correct_member(
 
 
 @compiled
-def step(
+def step(  # noqa: PLR0917
     code: Code,
     fixed: BankConstants,
     members: BankMembers,
@@ -423,7 +476,18 @@ def step(
         end = begin + (slots * rows.number.size if b < levels else 0)
         _use(code, fixed.free, belief, vector, work)
         _correct_member(code, fixed, members, b, traces, begin, end, r, vector, work)
-        _move_member(code, fixed, belief, vector, work, u, r.disturbances, members.error[b], moved, noises)
+        _move_member(
+            code,
+            fixed,
+            belief,
+            vector,
+            work,
+            u,
+            r.disturbances,
+            members.error[b],
+            moved,
+            noises,
+        )
         _carry(moved, covariance, fixed.keeps, noises)
         _carry_traces(fixed, traces, rows, begin, end, slots, moved, now)
         total = 0.0
@@ -450,9 +514,14 @@ def _place_for(traces: ChangeTraces, begin: int, end: int, now: int) -> int:
         for t in range(begin, end):
             if born[t] < born[new] and (old < 0 or born[t] > born[old]):
                 old = t
-        shared_life = (born[new] - born[old]) / (now - born[old]) if old >= 0 else np.inf
+        shared_life = (
+            (born[new] - born[old]) / (now - born[old]) if old >= 0 else np.inf
+        )
         if shared_life < least:
-            behind = traces.score[old] + traces.weight[old] < traces.score[new] + traces.weight[new]
+            behind = (
+                traces.score[old] + traces.weight[old]
+                < traces.score[new] + traces.weight[new]
+            )
             least = shared_life
             place = old if behind else new
             keep = new if behind else old
@@ -461,7 +530,7 @@ def _place_for(traces: ChangeTraces, begin: int, end: int, now: int) -> int:
 
 
 @compiled
-def spawn(
+def spawn(  # noqa: PLR0917
     traces: ChangeTraces,
     rows: ChangeRows,
     at: FloatArray,
@@ -474,7 +543,9 @@ def spawn(
     `least`; onsets older than `reach` samples, and hopeless ones, are dropped."""
     slots = traces.born.size // (weights.size * rows.number.size)
     for t in range(traces.born.size):
-        if traces.born[t] >= 0 and (now - traces.born[t] > reach or traces.score[t] < _HOPELESS):
+        if traces.born[t] >= 0 and (
+            now - traces.born[t] > reach or traces.score[t] < _HOPELESS
+        ):
             traces.born[t] = -1
     for b in range(weights.size):
         if weights[b] < least:
@@ -489,7 +560,9 @@ def spawn(
             for a in range(rows.also.shape[1]):
                 if rows.also[r, a] >= 0:
                     traces.trace[t, rows.also[r, a]] = traces.trace[t, rows.number[r]]
-            traces.mean[t] = -1.0 - at[b, rows.number[r]] if rows.whole[r] else rows.shift[r]
+            traces.mean[t] = (
+                -1.0 - at[b, rows.number[r]] if rows.whole[r] else rows.shift[r]
+            )
             traces.variance[t] = rows.spread[r] ** 2
             traces.now[t] = 0.0
             traces.score[t] = 0.0
@@ -498,8 +571,13 @@ def spawn(
 
 
 @compiled
-def weigh(
-    gained: FloatArray, alive: Any, log_weights: FloatArray, prior: FloatArray, switch: float, walked: float
+def weigh(  # noqa: PLR0917
+    gained: FloatArray,
+    alive: Any,
+    log_weights: FloatArray,
+    prior: FloatArray,
+    switch: float,
+    walked: float,
 ) -> float:
     """Weigh the healthy ones by a sample, of log-probability `walked` for the last of them, which has no
     equations; returns that of all. A share `switch` of the weights is spread by the prior."""
@@ -519,12 +597,14 @@ def weigh(
         total += math.exp(joint[b] - highest)
     total = highest + math.log(total)
     for b in range(joint.size):
-        log_weights[b] = math.log((1.0 - switch) * math.exp(joint[b] - total) + switch * prior[b])
+        log_weights[b] = math.log(
+            (1.0 - switch) * math.exp(joint[b] - total) + switch * prior[b]
+        )
     return total
 
 
 @compiled
-def tally(
+def tally(  # noqa: PLR0917
     traces: ChangeTraces,
     rows: ChangeRows,
     levels: int,
@@ -549,7 +629,9 @@ def tally(
         age = now - traces.born[t]
         c = rows.cause[t // slots % count]
         traces.score[t] += (traces.now[t] - healthy) / doubts[min(age, doubts.size - 1)]
-        gains[t] = traces.score[t] + traces.weight[t] + math.log(max(traces.mass[t], 1e-300))
+        gains[t] = (
+            traces.score[t] + traces.weight[t] + math.log(max(traces.mass[t], 1e-300))
+        )
         if gains[t] > heights[c]:
             heights[c] = gains[t]
             best[c] = t

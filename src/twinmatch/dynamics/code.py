@@ -53,9 +53,21 @@ class PlantFormulas(NamedTuple):
 def plant_formulas(derived: Derived) -> PlantFormulas:
     """The formulas of derived equations, with exact derivatives."""
     writer = _Writer(derived)
-    by_state = [expression.diff(symbol) for expression in derived.rates for symbol in derived.states]
-    by_input = [expression.diff(symbol) for expression in derived.rates for symbol in derived.inputs]
-    by_unknown = [expression.diff(symbol) for expression in derived.rates for symbol in derived.unknown]
+    by_state = [
+        expression.diff(symbol)
+        for expression in derived.rates
+        for symbol in derived.states
+    ]
+    by_input = [
+        expression.diff(symbol)
+        for expression in derived.rates
+        for symbol in derived.inputs
+    ]
+    by_unknown = [
+        expression.diff(symbol)
+        for expression in derived.rates
+        for symbol in derived.unknown
+    ]
     return PlantFormulas(
         n_states=len(derived.states),
         n_inputs=len(derived.inputs),
@@ -105,10 +117,19 @@ class _Writer:
             for i, symbol in enumerate(symbols)
         }
 
-    def formulas(self, expressions: Iterable[Expression], *, shared: bool = True) -> Formulas:
+    def formulas(
+        self, expressions: Iterable[Expression], *, shared: bool = True
+    ) -> Formulas:
         """The formulas of expressions in the plant's symbols; common subexpressions apart if `shared`."""
-        named = [self._with_constants(self._sympy.sympify(e).xreplace(self._names)) for e in expressions]
-        return self._written(named) if shared else Formulas((), tuple(map(self._tree, named)))
+        named = [
+            self._with_constants(self._sympy.sympify(e).xreplace(self._names))
+            for e in expressions
+        ]
+        return (
+            self._written(named)
+            if shared
+            else Formulas((), tuple(map(self._tree, named)))
+        )
 
     def constants(self) -> Formulas:
         """The formulas of all constants used so far."""
@@ -119,7 +140,8 @@ class _Writer:
             expressions, symbols=self._sympy.numbered_symbols("t"), order="none"
         )
         return Formulas(
-            tuple((str(name), self._tree(e)) for name, e in common), tuple(map(self._tree, reduced))
+            tuple((str(name), self._tree(e)) for name, e in common),
+            tuple(map(self._tree, reduced)),
         )
 
     def _tree(self, expression: Expression) -> ast.expr:
@@ -133,11 +155,19 @@ class _Writer:
             return expression
         if all(str(s).startswith("p") for s in free):
             if expression not in self._constants:
-                self._constants[expression] = self._sympy.Symbol(f"c{len(self._constants)}", real=True)
+                self._constants[expression] = self._sympy.Symbol(
+                    f"c{len(self._constants)}", real=True
+                )
             return self._constants[expression]
         if expression.is_Add or expression.is_Mul:
-            fixed = [a for a in expression.args if all(str(s).startswith("p") for s in a.free_symbols)]
-            varying = [self._with_constants(a) for a in expression.args if a not in fixed]
+            fixed = [
+                a
+                for a in expression.args
+                if all(str(s).startswith("p") for s in a.free_symbols)
+            ]
+            varying = [
+                self._with_constants(a) for a in expression.args if a not in fixed
+            ]
             if fixed:
                 varying.append(self._with_constants(expression.func(*fixed)))
             return expression.func(*varying)

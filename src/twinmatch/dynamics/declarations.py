@@ -56,7 +56,9 @@ class Declaration:
                 "write one such as W/(m² K)"
             )
         for declared in fields(self):
-            object.__setattr__(self, declared.name, _in_range(getattr(self, declared.name)))
+            object.__setattr__(
+                self, declared.name, _in_range(getattr(self, declared.name))
+            )
 
     def __set_name__(self, owner: type, name: str) -> None:
         object.__setattr__(self, "name", name)
@@ -68,7 +70,7 @@ class Declaration:
     def __get__(self, plant: object | None, owner: type) -> Any:
         if plant is None:
             return self
-        import sympy  # noqa: PLC0415 (slow; needed only to derive equations)
+        import sympy  # noqa: PLC0415
 
         return sympy.Symbol(self.name, real=True)
 
@@ -203,7 +205,9 @@ class Parameter(Declaration):
         super().__post_init__()
         require_number("default of a parameter", self.default)
         require_range("bounds of a parameter", self.bounds)
-        require_range("least and most of a parameter", (self.least, self.most), finite=False)
+        require_range(
+            "least and most of a parameter", (self.least, self.most), finite=False
+        )
         require_number("scale of a parameter", self.scale)
         if not self.scale > 0:
             object.__setattr__(self, "scale", abs(self.default) or 1.0)
@@ -217,11 +221,17 @@ class Parameter(Declaration):
             msg = f"plant: default of a parameter is {self.default:g}; it must be {self.requirement}"
             raise PlantError(msg)
         if self.role not in ROLES:
-            raise PlantError(f"plant: role {self.role!r} of a parameter ({self.text}) must be one of {ROLES}")
+            raise PlantError(
+                f"plant: role {self.role!r} of a parameter ({self.text}) must be one of {ROLES}"
+            )
 
     def possible(self, value: float) -> bool:
         """Whether the parameter can have this value."""
-        return math.isfinite(value) and self.least <= value <= self.most and (value > 0 or not self.positive)
+        return (
+            math.isfinite(value)
+            and self.least <= value <= self.most
+            and (value > 0 or not self.positive)
+        )
 
     @property
     def requirement(self) -> str:
@@ -287,10 +297,14 @@ class Structure:
         for name in ("free", "parts", "free_starts"):
             names = getattr(self, name)
             if isinstance(names, str):
-                raise PlantError(f"plant: {name} of a structure is the text {names!r}; write ({names!r},)")
+                raise PlantError(
+                    f"plant: {name} of a structure is the text {names!r}; write ({names!r},)"
+                )
 
     def __hash__(self) -> int:
-        return hash((self.free, self.parts, tuple(self.fixed.items()), self.free_starts))
+        return hash(
+            (self.free, self.parts, tuple(self.fixed.items()), self.free_starts)
+        )
 
     def n_parameters(self, windows: int = 1) -> int:
         """Number of values that a fit to so many windows estimates."""
@@ -301,7 +315,8 @@ def shown(value: Any) -> str:
     """A value of a plant's file as a message quotes it: in at most 60 characters."""
     try:
         text = repr(value)
-    except Exception:  # Python writes no integer of more than 4300 digits; a class may write itself wrongly
+    except Exception:
+        # Python writes no integer of more than 4300 digits; a class may write itself wrongly
         return f"of type {type(value).__name__}, too long to be shown"
     return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 1]}…"
 
@@ -334,7 +349,9 @@ def require_number(what: str, value: Any, *, above: float = -math.inf) -> None:
     """
     if not is_number(value) or not above < value < math.inf:
         least = f" above {above:g}" if above > -math.inf else ""
-        raise PlantError(f"plant: {what} is {shown(value)}; give a finite number{least}")
+        raise PlantError(
+            f"plant: {what} is {shown(value)}; give a finite number{least}"
+        )
 
 
 def require_range(what: str, ends: Any, *, finite: bool = True) -> None:
@@ -348,7 +365,9 @@ def require_range(what: str, ends: Any, *, finite: bool = True) -> None:
         if low < high and (not finite or (math.isfinite(low) and math.isfinite(high))):
             return
     kind = "two finite numbers" if finite else "two numbers"
-    raise PlantError(f"plant: {what} is {shown(ends)}; give {kind}, the smaller first, such as (0.0, 100.0)")
+    raise PlantError(
+        f"plant: {what} is {shown(ends)}; give {kind}, the smaller first, such as (0.0, 100.0)"
+    )
 
 
 def require_text(what: str, value: Any) -> None:
@@ -358,4 +377,6 @@ def require_text(what: str, value: Any) -> None:
         PlantError: it is none.
     """
     if not isinstance(value, str) or "\n" in value:
-        raise PlantError(f"plant: {what} is {shown(value)}; give a short text in quotes")
+        raise PlantError(
+            f"plant: {what} is {shown(value)}; give a short text in quotes"
+        )

@@ -49,9 +49,14 @@ class Equations:
 
     def driven(self, drive: Expression, by: Expression) -> Equations:
         """These equations with `by` in place of a drive in the rates, such as what is left of it."""
-        import sympy  # noqa: PLC0415 (slow; needed only to derive equations)
+        import sympy  # noqa: PLC0415
 
-        return replace(self, rates={s: sympy.sympify(rate).subs(drive, by) for s, rate in self.rates.items()})
+        return replace(
+            self,
+            rates={
+                s: sympy.sympify(rate).subs(drive, by) for s, rate in self.rates.items()
+            },
+        )
 
 
 class PlantType(type):
@@ -122,16 +127,20 @@ class PlantDefinition(metaclass=PlantType):
     drives: ClassVar[Mapping[str, Drive]]
     outputs: ClassVar[Mapping[str, Output]]
 
-    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002 (subclasses use them)
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
         """Rates, output and start, in terms of the plant's own symbols (`self.name_of_a_quantity`)."""
-        raise PlantError(f"plant {self.name}: it has no equations; write the method `equations`")
+        raise PlantError(
+            f"plant {self.name}: it has no equations; write the method `equations`"
+        )
 
     @classmethod
     def _of(cls, kind: type[_Declared]) -> dict[str, _Declared]:
         return {n: v for n, v in cls.declarations.items() if isinstance(v, kind)}
 
 
-def require_consistent(plant: type[PlantDefinition], base: type[PlantDefinition]) -> None:
+def require_consistent(
+    plant: type[PlantDefinition], base: type[PlantDefinition]
+) -> None:
     """Check a plant's class; `base` is the class of which all plants are.
 
     Raises:
@@ -140,31 +149,50 @@ def require_consistent(plant: type[PlantDefinition], base: type[PlantDefinition]
     _require_names(plant, base)
     for kind, signals in ((Drive, plant.drives), (Output, plant.outputs)):
         if not signals:
-            raise PlantError(f"plant {plant.name}: declares no {kind.__name__}; declare at least one")
+            raise PlantError(
+                f"plant {plant.name}: declares no {kind.__name__}; declare at least one"
+            )
     if not isinstance(plant.structures, Mapping):
         kind = type(plant.structures).__name__
         raise PlantError(
             f"plant {plant.name}: `structures` is of type {kind}; write a dictionary of names and Structures"
         )
     if not plant.structures:
-        raise PlantError(f"plant {plant.name}: has no structure; declare at least one in `structures`")
+        raise PlantError(
+            f"plant {plant.name}: has no structure; declare at least one in `structures`"
+        )
     if not (is_number(plant.time_constant) and 0.0 <= plant.time_constant < math.inf):
-        raise PlantError(f"plant {plant.name}: `time_constant` is {shown(plant.time_constant)}; give seconds")
+        raise PlantError(
+            f"plant {plant.name}: `time_constant` is {shown(plant.time_constant)}; give seconds"
+        )
     if plant.followed and plant.followed not in plant.structures:
-        raise PlantError(f"plant {plant.name}: `followed` is {plant.followed!r}; name one of its structures")
+        raise PlantError(
+            f"plant {plant.name}: `followed` is {plant.followed!r}; name one of its structures"
+        )
     _require_names_of(
-        plant, "typical", "parameter", _table(plant, "`typical`", plant.typical), plant.parameters
+        plant,
+        "typical",
+        "parameter",
+        _table(plant, "`typical`", plant.typical),
+        plant.parameters,
     )
     _require_values(plant, "typical", plant.typical, plant.parameters)
     for name, structure in plant.structures.items():
         require_structure(plant, name, structure)
-    for attribute, has, wanted in (("loop", "period", "PidGains"), ("sensor", "realise", "Sensor")):
+    for attribute, has, wanted in (
+        ("loop", "period", "PidGains"),
+        ("sensor", "realise", "Sensor"),
+    ):
         value = getattr(plant, attribute)
         if value is not None and not hasattr(value, has):
-            raise PlantError(f"plant {plant.name}: `{attribute}` is {value!r}; give a {wanted}(…)")
+            raise PlantError(
+                f"plant {plant.name}: `{attribute}` is {value!r}; give a {wanted}(…)"
+            )
 
 
-def require_structure(plant: type[PlantDefinition], name: str, structure: Structure) -> None:
+def require_structure(
+    plant: type[PlantDefinition], name: str, structure: Structure
+) -> None:
     """Check that a structure has known names and possible values.
 
     Raises:
@@ -176,12 +204,19 @@ def require_structure(plant: type[PlantDefinition], name: str, structure: Struct
         raise PlantError(msg)
     place = f"structure {name!r}"
     external = structure.external
-    own_parameters, own_states = (external.parameters, external.states) if external else ({}, {})
+    own_parameters, own_states = (
+        (external.parameters, external.states) if external else ({}, {})
+    )
     parameters = {**plant.parameters, **own_parameters}
     _require_names_of(plant, place, "part", structure.parts, plant.parts)
     _require_names_of(plant, place, "parameter", structure.free, parameters)
-    _require_names_of(plant, place, "state", structure.free_starts, {**plant.states, **own_states})
-    for table_name, names in (("free", structure.free), ("free_starts", structure.free_starts)):
+    _require_names_of(
+        plant, place, "state", structure.free_starts, {**plant.states, **own_states}
+    )
+    for table_name, names in (
+        ("free", structure.free),
+        ("free_starts", structure.free_starts),
+    ):
         twice = [name for k, name in enumerate(names) if name in names[:k]]
         if twice:
             raise PlantError(
@@ -193,7 +228,11 @@ def require_structure(plant: type[PlantDefinition], name: str, structure: Struct
     ):
         where_in_structure = f"{place}, {table_name}"
         _require_names_of(
-            plant, where_in_structure, "parameter", _table(plant, where_in_structure, values), parameters
+            plant,
+            where_in_structure,
+            "parameter",
+            _table(plant, where_in_structure, values),
+            parameters,
         )
         _require_values(plant, where_in_structure, values, parameters)
     if not (structure.free or external):
@@ -206,7 +245,9 @@ def _require_names(plant: type[PlantDefinition], base: type[PlantDefinition]) ->
         msg = f'plant {plant.name!r}: is not a valid name; use letters, digits and _, such as name="tank"'
         raise PlantError(msg)
     own_names = {
-        name for kind in base.__mro__ for name in (*vars(kind), *vars(kind).get("__annotations__", ()))
+        name
+        for kind in base.__mro__
+        for name in (*vars(kind), *vars(kind).get("__annotations__", ()))
     }
     for name, declared in vars(plant).items():
         if (
@@ -218,12 +259,20 @@ def _require_names(plant: type[PlantDefinition], base: type[PlantDefinition]) ->
             raise PlantError(msg)
     for attribute in ("title", "followed", "surroundings"):
         require_text(f"{attribute} of {plant.name}", getattr(plant, attribute))
-    if isinstance(plant.parts, str) or not all(isinstance(part, str) for part in plant.parts):
-        raise PlantError(f'plant {plant.name}: `parts` is {plant.parts!r}; write texts in a tuple: ("…",)')
+    if isinstance(plant.parts, str) or not all(
+        isinstance(part, str) for part in plant.parts
+    ):
+        raise PlantError(
+            f'plant {plant.name}: `parts` is {plant.parts!r}; write texts in a tuple: ("…",)'
+        )
     if plant.__init__ is not base.__init__ or plant.__new__ is not base.__new__:
-        raise PlantError(f"plant {plant.name}: has its own __init__ or __new__; declare what it needs")
+        raise PlantError(
+            f"plant {plant.name}: has its own __init__ or __new__; declare what it needs"
+        )
     if not callable(plant.equations):
-        raise PlantError(f"plant {plant.name}: `equations` is not a method; write def equations(self, parts)")
+        raise PlantError(
+            f"plant {plant.name}: `equations` is not a method; write def equations(self, parts)"
+        )
     if len(inspect.signature(plant.equations).parameters) != 2:
         raise PlantError(
             f"plant {plant.name}: `equations` takes other arguments; write def equations(self, parts)"
@@ -235,7 +284,11 @@ def _require_names(plant: type[PlantDefinition], base: type[PlantDefinition]) ->
 
 
 def _require_names_of(
-    plant: type[PlantDefinition], place: str, kind: str, names: Iterable[str], known: Iterable[str]
+    plant: type[PlantDefinition],
+    place: str,
+    kind: str,
+    names: Iterable[str],
+    known: Iterable[str],
 ) -> None:
     unknown = sorted({str(name) for name in names} - set(known))
     if unknown:
@@ -244,12 +297,17 @@ def _require_names_of(
 
 
 def _require_values(
-    plant: type[PlantDefinition], place: str, values: Mapping[str, Any], known: Mapping[str, Any]
+    plant: type[PlantDefinition],
+    place: str,
+    values: Mapping[str, Any],
+    known: Mapping[str, Any],
 ) -> None:
     for name, value in values.items():
         if not is_number(value) or not known[name].possible(value):
             required = known[name].requirement
-            raise PlantError(f"plant {plant.name}, {place}: {name} is {shown(value)}; it must be {required}")
+            raise PlantError(
+                f"plant {plant.name}, {place}: {name} is {shown(value)}; it must be {required}"
+            )
 
 
 def _table(plant: type[PlantDefinition], place: str, values: Any) -> Mapping[str, Any]:

@@ -11,8 +11,6 @@ sets the next one. So the same search runs in Python, on any function (`descend`
 compiled code.
 """
 
-# ruff: noqa: PLR0917 (a kernel is long and takes arrays in a row)
-
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -40,7 +38,17 @@ _SETTLING = 1e-9
 _MAX_DAMPING = 1e9
 """Damping tried next if the least finds no step, and damping at which parameters are nearly independent."""
 
-_DAMPING, _GROWTH, _EXPECTED, _EVALUATIONS, _MAX_EVALUATIONS, _CONVERGED, _KNOWN, _CAME_BACK, _N = range(9)
+(
+    _DAMPING,
+    _GROWTH,
+    _EXPECTED,
+    _EVALUATIONS,
+    _MAX_EVALUATIONS,
+    _CONVERGED,
+    _KNOWN,
+    _CAME_BACK,
+    _N,
+) = range(9)
 
 
 class Descended(NamedTuple):
@@ -77,7 +85,7 @@ class Search(NamedTuple):
     the known minimum (NaN without one), whether the search entered its valley."""
 
 
-def new_search(
+def new_search(  # noqa: PLR0917
     start: FloatArray,
     lower: FloatArray,
     upper: FloatArray,
@@ -99,7 +107,8 @@ def new_search(
         best=np.full(1, np.inf),
         gradient=np.empty(n),
         hessian=np.empty((n, n)),
-        lower=np.ascontiguousarray(lower),  # columns of an array would need kernels of their own
+        # columns of an array would need kernels of their own
+        lower=np.ascontiguousarray(lower),
         upper=np.ascontiguousarray(upper),
         scales=scales,
         known=found.values if is_known and found else start,
@@ -122,7 +131,7 @@ def search_result(search: Search, found: Descended | None) -> Descended:
     )
 
 
-def descend(
+def descend(  # noqa: PLR0917
     normal: Callable[[FloatArray], tuple[float, FloatArray, FloatArray]],
     start: FloatArray,
     lower: FloatArray,
@@ -143,7 +152,9 @@ def descend(
 
 
 @compiled
-def update_search(search: Search, cost: float, gradient: FloatArray, hessian: FloatArray) -> bool:
+def update_search(
+    search: Search, cost: float, gradient: FloatArray, hessian: FloatArray
+) -> bool:
     """Take sum, gradient and JᵀJ at the requested point; return whether another point is requested."""
     values = search.values
     figures = search.figures
@@ -168,7 +179,9 @@ def update_search(search: Search, cost: float, gradient: FloatArray, hessian: Fl
         if _in_valley(search, cost):
             figures[_CAME_BACK] = figures[_CONVERGED] = 1.0
             return False
-        promised = box_step(search.hessian, search.gradient, values, lower, upper, MIN_DAMPING)[1]
+        promised = box_step(
+            search.hessian, search.gradient, values, lower, upper, MIN_DAMPING
+        )[1]
         if promised <= _TOLERANCE * cost + _NOTHING:
             figures[_CONVERGED] = 1.0
             return False
@@ -177,7 +190,9 @@ def update_search(search: Search, cost: float, gradient: FloatArray, hessian: Fl
         figures[_GROWTH] *= 2.0
     if figures[_EVALUATIONS] >= figures[_MAX_EVALUATIONS]:
         return False
-    step, expected = box_step(search.hessian, search.gradient, values, lower, upper, figures[_DAMPING])
+    step, expected = box_step(
+        search.hessian, search.gradient, values, lower, upper, figures[_DAMPING]
+    )
     figures[_EXPECTED] = expected
     moved = False
     for i in range(values.size):
@@ -202,13 +217,15 @@ def _in_valley(search: Search, cost: float) -> bool:
     n = search.values.size
     for i in range(n):
         for j in range(n):
-            way = (search.values[i] - search.known[i]) * (search.values[j] - search.known[j])
+            way = (search.values[i] - search.known[i]) * (
+                search.values[j] - search.known[j]
+            )
             rise += search.known_hessian[i, j] * way
     return bool(rise <= _NEAR * least and abs(cost - least - rise) <= _ALIKE * rise)
 
 
 @compiled
-def box_step(
+def box_step(  # noqa: PLR0917
     hessian: FloatArray,
     gradient: FloatArray,
     values: FloatArray,
@@ -236,7 +253,7 @@ def box_step(
 
 
 @compiled(inside=True)
-def _step_of_free(
+def _step_of_free(  # noqa: PLR0917
     hessian: FloatArray,
     gradient: FloatArray,
     values: FloatArray,
@@ -250,7 +267,11 @@ def _step_of_free(
     step = np.zeros(n)
     fixed = np.zeros(n, dtype=np.bool_)
     for i in range(n):
-        outward = gradient[i] > 0.0 if values[i] <= lower[i] else values[i] >= upper[i] and gradient[i] < 0.0
+        outward = (
+            gradient[i] > 0.0
+            if values[i] <= lower[i]
+            else values[i] >= upper[i] and gradient[i] < 0.0
+        )
         fixed[i] = outward or lower[i] == upper[i] or not hessian[i, i] > 0.0
     for _ in range(4 * n):
         _solve_free(hessian, gradient, step, np.flatnonzero(~fixed), damping)
@@ -264,7 +285,11 @@ def _step_of_free(
                 first = p
                 reach = abs(room) / abs(step[p])
         if first >= 0:
-            step[first] = upper[first] - values[first] if step[first] > 0.0 else lower[first] - values[first]
+            step[first] = (
+                upper[first] - values[first]
+                if step[first] > 0.0
+                else lower[first] - values[first]
+            )
             fixed[first] = True
             continue
         # Parameters whose gradient points inwards are released, one at a time.
@@ -287,7 +312,11 @@ def _step_of_free(
 
 @compiled(inside=True)
 def _solve_free(
-    hessian: FloatArray, gradient: FloatArray, step: FloatArray, free: NDArray[np.int64], damping: float
+    hessian: FloatArray,
+    gradient: FloatArray,
+    step: FloatArray,
+    free: NDArray[np.int64],
+    damping: float,
 ) -> None:
     """Write the steps of the free parameters, given those of the others.
 
@@ -308,10 +337,16 @@ def _solve_free(
         right[i] /= size
         for j in range(i + 1):
             q = free[j]
-            value = 1.0 + damping if i == j else hessian[p, q] / size / np.sqrt(hessian[q, q])
+            value = (
+                1.0 + damping
+                if i == j
+                else hessian[p, q] / size / np.sqrt(hessian[q, q])
+            )
             for k in range(j):
                 value -= factor[i, k] * factor[j, k]
-            factor[i, j] = np.sqrt(max(value, 1e-15)) if i == j else value / factor[j, j]
+            factor[i, j] = (
+                np.sqrt(max(value, 1e-15)) if i == j else value / factor[j, j]
+            )
     for i in range(m):
         for k in range(i):
             right[i] -= factor[i, k] * right[k]

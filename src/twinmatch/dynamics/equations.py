@@ -44,7 +44,9 @@ def at_most(seconds: float = PATIENCE) -> Iterator[None]:
     def stop() -> None:
         with lock:
             if not is_switched:
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(thread, ctypes.py_object(TooLongError))
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(
+                    thread, ctypes.py_object(TooLongError)
+                )
 
     timer = threading.Timer(seconds, stop)
     timer.daemon = True
@@ -79,7 +81,9 @@ class Derived:
     quantities: Mapping[str, Expression]
 
 
-def derive(plant: PlantDefinition, parts: frozenset[str], unknown: frozenset[str]) -> Derived:
+def derive(
+    plant: PlantDefinition, parts: frozenset[str], unknown: frozenset[str]
+) -> Derived:
     """Derive the equations of a plant with some of its parts, ready to be written as code.
 
     Tangents are computed for the parameters `unknown`, if the equations depend on them.
@@ -93,7 +97,9 @@ def derive(plant: PlantDefinition, parts: frozenset[str], unknown: frozenset[str
     written = written_equations(plant, parts)
     written_outputs = outputs_of(plant, written)
     declared = {name: getattr(plant, name) for name in plant.declarations}
-    states = tuple(declared[name] for name in plant.states if declared[name] in written.rates)
+    states = tuple(
+        declared[name] for name in plant.states if declared[name] in written.rates
+    )
     measured = tuple(declared[name] for name in plant.outputs)
     kinks = Kinks()
     roots = Roots(plant)
@@ -102,17 +108,26 @@ def derive(plant: PlantDefinition, parts: frozenset[str], unknown: frozenset[str
         return roots.smooth(sympy.sympify(expression))
 
     rates = tuple(kinks.resolved(smooth(written.rates[state])) for state in states)
-    quantities = {name: kinks.resolved(smooth(expression)) for name, expression in written.quantities.items()}
+    quantities = {
+        name: kinks.resolved(smooth(expression))
+        for name, expression in written.quantities.items()
+    }
     outputs = tuple(smooth(written_outputs[symbol]) for symbol in measured)
     start = tuple(smooth(written.start[state]) for state in states)
     for role, expressions in (("output", outputs), ("start", start)):
-        if any(Kinks().resolved(expression) != expression for expression in expressions):
-            raise PlantError(f"{title}: the {role} has a kink; put it into the sensor or into a rate")
+        if any(
+            Kinks().resolved(expression) != expression for expression in expressions
+        ):
+            raise PlantError(
+                f"{title}: the {role} has a kink; put it into the sensor or into a rate"
+            )
 
     used: set[Any] = set()
     for expression in (*rates, *outputs, *start, *kinks.conditions):
         used |= expression.free_symbols
-    parameters = tuple(declared[name] for name in plant.parameters if declared[name] in used)
+    parameters = tuple(
+        declared[name] for name in plant.parameters if declared[name] in used
+    )
     return Derived(
         states=states,
         inputs=tuple(declared[name] for name in plant.drives),
@@ -129,7 +144,9 @@ def derive(plant: PlantDefinition, parts: frozenset[str], unknown: frozenset[str
     )
 
 
-def outputs_of(plant: PlantDefinition, written: Equations) -> dict[Expression, Expression]:
+def outputs_of(
+    plant: PlantDefinition, written: Equations
+) -> dict[Expression, Expression]:
     """The expression of each output.
 
     Raises:
@@ -145,7 +162,11 @@ def outputs_of(plant: PlantDefinition, written: Equations) -> dict[Expression, E
         )
     for symbol in (*symbols, *written.output):
         if symbol not in written.output or symbol not in symbols:
-            todo = "has no expression" if symbol in symbols else "is not declared as an output"
+            todo = (
+                "has no expression"
+                if symbol in symbols
+                else "is not declared as an output"
+            )
             raise PlantError(f"plant {plant.name}: in `output`, {symbol} {todo}")
     return dict(written.output)
 
@@ -164,9 +185,15 @@ def written_equations(plant: PlantDefinition, parts: frozenset[str]) -> Equation
     except BaseException as error:
         if is_interrupt(error):
             raise
-        lines = [f for f in traceback.extract_tb(error.__traceback__) if f.name == "equations"]
+        lines = [
+            f
+            for f in traceback.extract_tb(error.__traceback__)
+            if f.name == "equations"
+        ]
         place = f", {lines[-1].filename}, line {lines[-1].lineno}" if lines else ""
-        raise PlantError(f"plant {plant.name}{place}: {_mistake(plant, error)}") from error
+        raise PlantError(
+            f"plant {plant.name}{place}: {_mistake(plant, error)}"
+        ) from error
     if not isinstance(written, Equations):
         kind = type(written).__name__
         msg = f"plant {plant.name}: its method `equations` returns {kind}; return Equations(rates=…, …)"
@@ -178,11 +205,17 @@ def written_equations(plant: PlantDefinition, parts: frozenset[str]) -> Equation
 def _mistake(plant: PlantDefinition, error: BaseException) -> str:
     if isinstance(error, AttributeError) and error.obj is plant:
         near = difflib.get_close_matches(error.name or "", plant.declarations, n=1)
-        hint = f"did you mean {near[0]}?" if near else "declare it as a State, Parameter or Disturbance"
+        hint = (
+            f"did you mean {near[0]}?"
+            if near
+            else "declare it as a State, Parameter or Disturbance"
+        )
         return f"self.{error.name} is not declared; {hint}"
     if isinstance(error, TypeError) and "truth value" in str(error):
         return "equations cannot branch on a value; use limited, minimum or maximum instead"
-    if isinstance(error, TypeError) and re.search("to float|to int|loop of ufunc|round symbolic", str(error)):
+    if isinstance(error, TypeError) and re.search(
+        "to float|to int|loop of ufunc|round symbolic", str(error)
+    ):
         return "a function of numbers (of math or numpy, float, round) is given an expression; use SymPy's"
     if isinstance(error, TooLongError):
         return f"`equations` did not return within {PATIENCE:g} s; look for a loop without end"
@@ -212,22 +245,32 @@ def _require_usable(plant: PlantDefinition, written: Equations) -> None:
         PlantError: a state without rate or start, something that is not an expression, an undeclared quantity
             or one in the wrong place, a function that cannot be compiled.
     """
-    code = getattr(plant.equations, "__code__", None)  # a decorated method may have none
+    # a decorated method may have none
+    code = getattr(plant.equations, "__code__", None)
     place = "" if code is None else f", {code.co_filename}, line {code.co_firstlineno}"
     title = f"plant {plant.name}{place}"
     for name in ("rates", "start", "quantities"):
         if not isinstance(getattr(written, name), Mapping):
             kind = type(getattr(written, name)).__name__
-            raise PlantError(f"{title}: `{name}` is of type {kind}; write a dictionary, {{…: …}}")
+            raise PlantError(
+                f"{title}: `{name}` is of type {kind}; write a dictionary, {{…: …}}"
+            )
     declared = {name: getattr(plant, name) for name in plant.declarations}
     declared_states = [declared[name] for name in plant.states]
     states = _require_states(title, declared_states, written)
-    measured_or_constant = {declared[name] for name in (*plant.disturbances, *plant.parameters)}
+    measured_or_constant = {
+        declared[name] for name in (*plant.disturbances, *plant.parameters)
+    }
     drives = {declared[name] for name in plant.drives}
     measured = {declared[name] for name in plant.outputs}
     usable = {*states, *measured_or_constant}
     for state in states:
-        _require(f"{title}: the rate of {state}", written.rates[state], usable | drives, declared)
+        _require(
+            f"{title}: the rate of {state}",
+            written.rates[state],
+            usable | drives,
+            declared,
+        )
         _require(
             f"{title}: the start of {state}",
             written.start[state],
@@ -238,7 +281,9 @@ def _require_usable(plant: PlantDefinition, written: Equations) -> None:
         name = "the output" if len(measured) == 1 else f"the output {symbol}"
         _require(f"{title}: {name}", expression, usable | drives, declared)
         if not _symbols(expression) & set(states):
-            raise PlantError(f"{title}: {name} depends on no state; write it in terms of the states")
+            raise PlantError(
+                f"{title}: {name} depends on no state; write it in terms of the states"
+            )
     for name, expression in written.quantities.items():
         _require(f"{title}: the quantity {name}", expression, usable | drives, declared)
 
@@ -249,30 +294,56 @@ def _require_states(title: str, declared: list[Any], written: Equations) -> list
         for symbol in getattr(written, name):
             if symbol not in declared:
                 shown = repr(symbol) if isinstance(symbol, str) else str(symbol)
-                todo = f"write self.{symbol}" if symbol in map(str, declared) else "declare it"
-                raise PlantError(f"{title}: `{name}` has {shown}, which is not declared as a state; {todo}")
+                todo = (
+                    f"write self.{symbol}"
+                    if symbol in map(str, declared)
+                    else "declare it"
+                )
+                raise PlantError(
+                    f"{title}: `{name}` has {shown}, which is not declared as a state; {todo}"
+                )
     states = [state for state in declared if state in written.rates]
     if not states:
-        raise PlantError(f"{title}: no state has a rate; a plant without memory needs no twin")
+        raise PlantError(
+            f"{title}: no state has a rate; a plant without memory needs no twin"
+        )
     for state in states:
         if state not in written.start:
-            raise PlantError(f"{title}: state {state} has no start value; give one in `start`")
+            raise PlantError(
+                f"{title}: state {state} has no start value; give one in `start`"
+            )
     return states
 
 
-def _require(place: str, expression: Any, allowed: Iterable[Any], declared: Mapping[str, Any]) -> None:
-    import sympy  # noqa: PLC0415 (slow; needed only to derive equations)
+def _require(
+    place: str, expression: Any, allowed: Iterable[Any], declared: Mapping[str, Any]
+) -> None:
+    import sympy  # noqa: PLC0415
 
-    if not isinstance(expression, sympy.Expr | int | float) or isinstance(expression, bool):
-        kind = "a condition" if isinstance(expression, sympy.logic.boolalg.Boolean) else _kind(expression)
-        raise PlantError(f"{place} is {kind}; write an expression of the plant's quantities")
+    if not isinstance(expression, sympy.Expr | int | float) or isinstance(
+        expression, bool
+    ):
+        kind = (
+            "a condition"
+            if isinstance(expression, sympy.logic.boolalg.Boolean)
+            else _kind(expression)
+        )
+        raise PlantError(
+            f"{place} is {kind}; write an expression of the plant's quantities"
+        )
     formula = sympy.sympify(expression)
     if formula.has(sympy.nan, sympy.zoo, sympy.oo, -sympy.oo):
-        raise PlantError(f"{place} is not finite ({_short(formula)}): it divides by zero, or contains NaN")
+        raise PlantError(
+            f"{place} is not finite ({_short(formula)}): it divides by zero, or contains NaN"
+        )
     if formula.has(sympy.I):
-        raise PlantError(f"{place} is complex ({_short(formula)}); write it with real quantities")
+        raise PlantError(
+            f"{place} is complex ({_short(formula)}); write it with real quantities"
+        )
     if not all(map(_fits, formula.atoms(sympy.Number))):
-        raise PlantError(f"{place} has a number that is too large for floating point; give one below 1e308")
+        raise PlantError(
+            f"{place} has a number that is too large for floating point; give one below 1e308"
+        )
     for part in sympy.preorder_traversal(formula):
         if isinstance(part, sympy.Function | sympy.Derivative | sympy.Integral):
             name = type(part).__name__
@@ -281,7 +352,9 @@ def _require(place: str, expression: Any, allowed: Iterable[Any], declared: Mapp
                 raise PlantError(msg)
     for symbol in sorted(formula.free_symbols - set(allowed), key=str):
         if symbol not in declared.values():
-            raise PlantError(f"{place} uses {str(symbol)!r}, which is not declared; declare it")
+            raise PlantError(
+                f"{place} uses {str(symbol)!r}, which is not declared; declare it"
+            )
         raise PlantError(f"{place} uses {symbol}, which {_reason(place)}")
 
 
@@ -304,7 +377,11 @@ def _symbols(expression: Any) -> set[Any]:
 
 
 def _kind(value: Any) -> str:
-    return "missing (None)" if value is None else f"{value!r}, of type {type(value).__name__}"
+    return (
+        "missing (None)"
+        if value is None
+        else f"{value!r}, of type {type(value).__name__}"
+    )
 
 
 def _short(expression: Any) -> str:

@@ -110,10 +110,14 @@ class Experiment:
         code, memory = law_code(loop, None if loop is None else loop.state(window))
         references = window.inputs if loop is None else window.references
         columns = n_references(model.plant, loop)
-        self.measured = np.concatenate([window.outputs, window.inputs], axis=1)[SKIPPED:].T.copy()
+        self.measured = np.concatenate([window.outputs, window.inputs], axis=1)[
+            SKIPPED:
+        ].T.copy()
         self._kernels = model.kernels_by(self.free)
         given_weights = (
-            np.ones(len(self.measured)) if weights is None else np.array(weights, dtype=np.float64)
+            np.ones(len(self.measured))
+            if weights is None
+            else np.array(weights, dtype=np.float64)
         )
         weighed = np.repeat(given_weights[:, None], self.measured.shape[1], 1)
         weighed[:, :settle] = 0.0
@@ -126,10 +130,16 @@ class Experiment:
             pull[place] = value.pull
         self._data = RunData(
             which=_indices(self._kernels.UNKNOWN, self.free),
-            tuned=np.array([known_gains[name] for name in self.free_gains], dtype=np.int64),
+            tuned=np.array(
+                [known_gains[name] for name in self.free_gains], dtype=np.int64
+            ),
             memory=memory,
-            references=signal_rows(model.title, "reference", references[SKIPPED:], columns),
-            disturbances=model.disturbance_rows(window.disturbances, len(window))[SKIPPED:],
+            references=signal_rows(
+                model.title, "reference", references[SKIPPED:], columns
+            ),
+            disturbances=model.disturbance_rows(window.disturbances, len(window))[
+                SKIPPED:
+            ],
             measured=self.measured,
             weights=weighed,
             robust=bool(robust),
@@ -141,7 +151,9 @@ class Experiment:
             places=_indices(model.names, self.free),
             started=_indices(model.states, self.free_starts),
             first=model.row_of("outputs", window.outputs[SKIPPED]),
-            inputs_before=model.row_of("inputs", window.inputs[SKIPPED - (not model.instant)]),
+            inputs_before=model.row_of(
+                "inputs", window.inputs[SKIPPED - (not model.instant)]
+            ),
             law=code,
             default_disturbances=model.disturbances,
             corners=model.corners,
@@ -172,14 +184,22 @@ class Experiment:
 
     def starts_at(self, values: FloatArray) -> dict[str, float]:
         """The unknown initial states, by name."""
-        return dict(zip(self.free_starts, values[self.size - len(self.free_starts) :].tolist(), strict=True))
+        return dict(
+            zip(
+                self.free_starts,
+                values[self.size - len(self.free_starts) :].tolist(),
+                strict=True,
+            )
+        )
 
     def values_of(self, parameters: Parameters) -> FloatArray:
         """The unknowns, shape (n,): given parameters, the given gains, the plant file's initial states."""
         initial, _, _ = self._initial(parameters.vector)
         named = [parameters[name] for name in self.free]
         gains = self._problem.law[self._data.tuned]
-        return np.array([*named, *gains, *initial[self._problem.started]], dtype=np.float64)
+        return np.array(
+            [*named, *gains, *initial[self._problem.started]], dtype=np.float64
+        )
 
     def simulate(self, values: FloatArray) -> Response:
         """Run without derivatives, from the third sample on."""
@@ -221,15 +241,19 @@ class Experiment:
         weights = self._data.weights
         simulated = np.concatenate([response.outputs, response.inputs], axis=1).T
         residuals = (self.measured - simulated) * weights
-        squares = np.square(residuals) if self._data.robust else np.zeros_like(residuals)
+        squares = (
+            np.square(residuals) if self._data.robust else np.zeros_like(residuals)
+        )
         rows = -tangents.by[:, :, : values.size] * weights[:, :, None]
         if not self.closed:
             rows[len(self._problem.first) :] = 0.0
         scores = np.einsum("sk,skn->kn", residuals / np.sqrt(1.0 + squares), rows)
-        slope = np.einsum("sk,ski,skj->ij", (1.0 + squares) ** -1.5, rows, rows, optimize=True)
+        slope = np.einsum(
+            "sk,ski,skj->ij", (1.0 + squares) ** -1.5, rows, rows, optimize=True
+        )
         return np.asarray(scores), np.asarray(slope)
 
-    def descend(  # noqa: PLR0917 (as the search itself)
+    def descend(  # noqa: PLR0917
         self,
         start: FloatArray,
         lower: FloatArray,
@@ -246,7 +270,9 @@ class Experiment:
     def tangents(self, values: FloatArray) -> Tangents:
         """Run with all derivatives."""
         tangents: Tangents
-        tangents, _ = self._kernels.run_with_tangents(self._start(values), self._data, True, np.inf)
+        tangents, _ = self._kernels.run_with_tangents(
+            self._start(values), self._data, True, np.inf
+        )
         return tangents
 
     @cached_property
@@ -258,7 +284,10 @@ class Experiment:
 
     def _initial(self, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         initial: tuple[FloatArray, FloatArray, FloatArray] = self._kernels.begin(
-            vector, self._problem.first, self._problem.inputs_before, self._data.disturbances[0]
+            vector,
+            self._problem.first,
+            self._problem.inputs_before,
+            self._data.disturbances[0],
         )
         return initial
 
@@ -293,10 +322,20 @@ def sensitivities(
     known_disturbances = np.ascontiguousarray(disturbances)
     free_places = _indices(kernels.UNKNOWN, free)
     data = RunData(
-        free_places, none, memory, references, known_disturbances, unread, unread, False, float(period)
+        free_places,
+        none,
+        memory,
+        references,
+        known_disturbances,
+        unread,
+        unread,
+        False,
+        float(period),
     )
     columns = np.zeros((states.size, len(free)))
-    start = Start(parameters.vector, code, states.copy(), columns, parameters.steps(period))
+    start = Start(
+        parameters.vector, code, states.copy(), columns, parameters.steps(period)
+    )
     tangents, _ = kernels.run_with_tangents(start, data, True, np.inf)
     derivatives = tangents.by[: len(model.plant.outputs), :, : len(free)]
     return tangents.outputs, np.moveaxis(derivatives, 0, 1)

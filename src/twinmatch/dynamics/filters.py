@@ -5,8 +5,6 @@
 `Tracker`.
 """
 
-# ruff: noqa: PLR0917 (kernels take arrays in a row)
-
 from __future__ import annotations
 
 import math
@@ -156,7 +154,7 @@ def _expected(covariance: FloatArray, slope: FloatArray, reach: FloatArray) -> f
 
 
 @compiled(inside=True)
-def _take(
+def _take(  # noqa: PLR0917
     covariance: FloatArray,
     slope: FloatArray,
     reach: FloatArray,
@@ -192,7 +190,7 @@ def _take(
 
 
 @compiled(inside=True)
-def _move(
+def _move(  # noqa: PLR0917
     code: Code,
     x: FloatArray,
     u: FloatArray,
@@ -222,7 +220,9 @@ def _move(
 
 
 @compiled(inside=True)
-def _carry(moved: FloatArray, covariance: FloatArray, keeps: FloatArray, noise: FloatArray) -> None:
+def _carry(
+    moved: FloatArray, covariance: FloatArray, keeps: FloatArray, noise: FloatArray
+) -> None:
     """Predict a covariance, in place: `moved` are the rows of the states, shape (n, size), the other numbers
     fade by `keeps`, and `noise` adds to the diagonal."""
     n, size = moved.shape
@@ -246,7 +246,7 @@ def _carry(moved: FloatArray, covariance: FloatArray, keeps: FloatArray, noise: 
 
 
 @compiled
-def correct(
+def correct(  # noqa: PLR0917
     code: Code,
     vector: FloatArray,
     x: FloatArray,
@@ -289,7 +289,17 @@ def correct(
             innovation -= slope[i] * moved[i]
         noise_variance = noise[o] * noise[o]
         variance = _expected(covariance, slope, reach) + noise_variance
-        _take(covariance, slope, reach, innovation, variance, noise_variance, limit, moved, gain)
+        _take(
+            covariance,
+            slope,
+            reach,
+            innovation,
+            variance,
+            noise_variance,
+            limit,
+            moved,
+            gain,
+        )
         innovations[o] = innovation
         variances[o] = variance
     for i in range(n):
@@ -301,7 +311,7 @@ def correct(
 
 
 @compiled
-def predict(
+def predict(  # noqa: PLR0917
     code: Code,
     vector: FloatArray,
     x: FloatArray,
@@ -317,29 +327,39 @@ def predict(
     diagonal. Returns the derivatives of the states by the m parameters which[0], by the states and by the
     inputs, shape (n, m + n + inputs)."""
     moved = np.empty((x.size, covariance.shape[0]))
-    columns = _move(code, x, u, d, work_for(code, vector), period, steps, which[0], moved)
+    columns = _move(
+        code, x, u, d, work_for(code, vector), period, steps, which[0], moved
+    )
     _carry(moved, covariance, np.ones(covariance.shape[0]), process_noise)
     return columns
 
 
 @compiled
 def adapt(
-    process_noise: FloatArray, factor: FloatArray, innovations: FloatArray, variances: FloatArray
+    process_noise: FloatArray,
+    factor: FloatArray,
+    innovations: FloatArray,
+    variances: FloatArray,
 ) -> None:
     """Adapt the process noise, in place, to the innovations of a sample; `factor`, shape (1,), is how much it
     exceeds the one given, or empty to leave it."""
     if factor.size:
         surprise = 0.0
         for o in range(innovations.size):
-            surprise += min(innovations[o] * innovations[o] / variances[o], SURPRISE) / innovations.size
-        after = min(max(factor[0] * math.exp(ADAPTS * (surprise - 1.0)), 1.0), MAX_NOISE)
+            surprise += (
+                min(innovations[o] * innovations[o] / variances[o], SURPRISE)
+                / innovations.size
+            )
+        after = min(
+            max(factor[0] * math.exp(ADAPTS * (surprise - 1.0)), 1.0), MAX_NOISE
+        )
         for i in range(process_noise.size):
             process_noise[i] *= after / factor[0]
         factor[0] = after
 
 
 @compiled
-def follow(
+def follow(  # noqa: PLR0917
     codes: NDArray[np.int64],
     sizes: NDArray[np.int64],
     vectors: FloatArray,
@@ -376,11 +396,32 @@ def follow(
         row = rows[i]
         covariance = covariances[i, : n * n].reshape((n, n))
         for k in range(len(u)):
-            predict(code, vector, states, covariance, process_noise[i, :n], u[k], row, period, steps[i], none)
+            predict(
+                code,
+                vector,
+                states,
+                covariance,
+                process_noise[i, :n],
+                u[k],
+                row,
+                period,
+                steps[i],
+                none,
+            )
             if seen[k]:
                 copy_into(d[k], row)
                 innovations, variances = correct(
-                    code, vector, states, covariance, y[k], row, now[k], noise, limit, none, unbounded
+                    code,
+                    vector,
+                    states,
+                    covariance,
+                    y[k],
+                    row,
+                    now[k],
+                    noise,
+                    limit,
+                    none,
+                    unbounded,
                 )
                 if not np.isfinite(innovations.sum() + variances.sum()):
                     break
@@ -390,7 +431,9 @@ def follow(
 
 
 @compiled(inside=True)
-def _use(code: Code, free: TrackedParameters, at: FloatArray, vector: FloatArray, work: Work) -> None:
+def _use(
+    code: Code, free: TrackedParameters, at: FloatArray, vector: FloatArray, work: Work
+) -> None:
     """Write the parameters of a belief into `vector`, and use them."""
     n = work.after.size - 1
     for j in range(free.places.size):
@@ -401,7 +444,7 @@ def _use(code: Code, free: TrackedParameters, at: FloatArray, vector: FloatArray
 
 
 @compiled
-def track(
+def track(  # noqa: PLR0917
     code: Code,
     fixed: TrackerConstants,
     at: FloatArray,
@@ -447,12 +490,22 @@ def track(
         disturbances = readings.disturbances[k]
         inputs[0] = fixed.rest + (u[k] - fixed.rest) * (1.0 + at[share])
         call(code[OUTPUTS], at, inputs, disturbances, work.p, work.b, work.outputs)
-        call(code[OUTPUT_SLOPES], at, inputs, disturbances, work.p, work.b, work.output_slopes)
+        call(
+            code[OUTPUT_SLOPES],
+            at,
+            inputs,
+            disturbances,
+            work.p,
+            work.b,
+            work.output_slopes,
+        )
         for i in range(n):
             slope[i] = work.output_slopes[i]
         for j in range(m):
             derivative = work.output_slopes[n + free.which[j]]
-            slope[n + j] = derivative * vector[free.places[j]] if free.logged[j] else derivative
+            slope[n + j] = (
+                derivative * vector[free.places[j]] if free.logged[j] else derivative
+            )
         slope[share] = work.output_slopes[n + code[N_UNKNOWN]] * (u[k] - fixed.rest)
         innovation = y[k + 2] - work.outputs[0] - at[offset] - at[passing]
         expected = _expected(covariance, slope, reach)
@@ -461,19 +514,33 @@ def track(
         )
         if noise_variance < STALE:
             cost += 0.5 * math.log(variance) + 0.5 * innovation**2 / variance
-        _take(covariance, slope, reach, innovation, variance, noise_variance, math.inf, at, gain)
+        _take(
+            covariance,
+            slope,
+            reach,
+            innovation,
+            variance,
+            noise_variance,
+            math.inf,
+            at,
+            gain,
+        )
         _correct_effects(slope, gain, innovation, variance, traces)
         for j in range(m):
             at[n + j] = min(max(at[n + j], free.least[j]), free.most[j])
         at[share] = min(max(at[share], -1.0), 1.0)
         _use(code, free, at, vector, work)
-        way = _move_belief(code, fixed, at, vector, work, u[k], disturbances, moved, next_states)
+        way = _move_belief(
+            code, fixed, at, vector, work, u[k], disturbances, moved, next_states
+        )
         for i in range(size):
             noises[i] = drift.each[i] ** 2 * fixed.period
             if k < opening.lasting:
                 noises[i] += opened[i] ** 2 * fixed.period
             if i < n:
-                noises[i] += (drift.swift * way * moved[i, size + FADING] / fixed.period) ** 2
+                noises[i] += (
+                    drift.swift * way * moved[i, size + FADING] / fixed.period
+                ) ** 2
         _carry(moved, covariance, fixed.keeps, noises)
         if rising >= 0:
             at[rising] += at[rate] * fixed.period
@@ -487,7 +554,7 @@ def track(
 
 
 @compiled(inside=True)
-def _weigh(
+def _weigh(  # noqa: PLR0917
     y: FloatArray,
     k: int,
     innovation: float,
@@ -500,7 +567,9 @@ def _weigh(
     """The variance with which a reading counts, and its own in it: `STALE` if it was lost, or is repeated by
     its sensor. One that has just stopped to repeat opens the passing offset."""
     noise_variance = STALE if math.isinf(noise) else noise**2
-    if noise_variance < STALE and innovation**2 > SUSPECT**2 * (expected + noise_variance):
+    if noise_variance < STALE and innovation**2 > SUSPECT**2 * (
+        expected + noise_variance
+    ):
         if y[k + 2] == y[k + 1]:
             noise_variance = STALE
         elif y[k + 1] == y[k]:
@@ -513,7 +582,7 @@ def _weigh(
 
 
 @compiled(inside=True)
-def _move_belief(
+def _move_belief(  # noqa: PLR0917
     code: Code,
     fixed: TrackerConstants,
     at: FloatArray,
@@ -540,7 +609,9 @@ def _move_belief(
     inputs[0] = fixed.rest + (u - fixed.rest) * (1.0 + at[share])
     call(code[OUTPUTS], at, inputs, d, work.p, work.b, work.outputs)
     before = work.outputs[0]
-    columns = _move(code, there, inputs, d, work, fixed.period, fixed.steps, free.which, moved)
+    columns = _move(
+        code, there, inputs, d, work, fixed.period, fixed.steps, free.which, moved
+    )
     call(code[OUTPUTS], there, inputs, d, work.p, work.b, work.outputs)
     for i in range(n):
         for j in range(m):
@@ -557,7 +628,11 @@ def _move_belief(
 
 @compiled(inside=True)
 def _correct_effects(
-    slope: FloatArray, gain: FloatArray, innovation: float, variance: float, traces: Traces
+    slope: FloatArray,
+    gain: FloatArray,
+    innovation: float,
+    variance: float,
+    traces: Traces,
 ) -> None:
     """Correct the effects of jumps as the belief is, and add what they leave in this innovation."""
     effects, hits, weights = traces
@@ -573,7 +648,9 @@ def _correct_effects(
 
 
 @compiled(inside=True)
-def _carry_effects(moved: FloatArray, there: FloatArray, effects: FloatArray, keeps: FloatArray) -> None:
+def _carry_effects(
+    moved: FloatArray, there: FloatArray, effects: FloatArray, keeps: FloatArray
+) -> None:
     """Predict the effects of jumps one period ahead."""
     n, size = moved.shape
     for kind in range(effects.shape[1]):

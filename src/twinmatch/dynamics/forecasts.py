@@ -109,19 +109,31 @@ class Foresight:
         self._name = "inputs" if loop is None else "set-points"
         self._loop = loop
         self._columns = n_references(model.plant, loop)
-        self._kernels = [parameters.model.kernels_by(unsure) for parameters, unsure in twins]
-        self.sizes = np.array([_sizes_of(parameters, unsure) for parameters, unsure in twins])
+        self._kernels = [
+            parameters.model.kernels_by(unsure) for parameters, unsure in twins
+        ]
+        self.sizes = np.array(
+            [_sizes_of(parameters, unsure) for parameters, unsure in twins]
+        )
         most, _, widest = self.sizes.max(axis=0)
         self._process_noise = np.zeros((len(twins), most + widest))
         unknown_places = []
-        for i, ((parameters, unsure), deviations) in enumerate(zip(twins, drift, strict=True)):
+        for i, ((parameters, unsure), deviations) in enumerate(
+            zip(twins, drift, strict=True)
+        ):
             n = len(parameters.model.states)
             title = parameters.model.title
             _require_names(title, unsure, parameters.model.names)
-            unknown_places.append(2 * [self._kernels[i].UNKNOWN.index(name) for name in unsure])
-            self._process_noise[i, :n] = np.square(_fit(title, "drift", deviations, (n,))) * period
+            unknown_places.append(
+                2 * [self._kernels[i].UNKNOWN.index(name) for name in unsure]
+            )
+            self._process_noise[i, :n] = (
+                np.square(_fit(title, "drift", deviations, (n,))) * period
+            )
         self._which = _in_rows(unknown_places, np.int64)
-        self._vectors = _in_rows([parameters.vector for parameters, _ in twins], np.float64)
+        self._vectors = _in_rows(
+            [parameters.vector for parameters, _ in twins], np.float64
+        )
         self._steps = np.array([parameters.steps(period) for parameters, _ in twins])
         noise_of_readings = model.noise if noise is None else np.atleast_1d(noise)
         noises = _fit(model.title, "noise", noise_of_readings, model.noise.shape)
@@ -153,8 +165,15 @@ class Foresight:
         joints = np.zeros((len(states), (most + widest) ** 2))
         for i, (n, _, k) in enumerate(self.sizes.tolist()):
             starts[i, :n] = _fit(title, "states", states[i], (n,))
-            joints[i, : (n + k) ** 2] = _fit(title, "covariance", covariances[i], (n + k, n + k)).ravel()
-        u = _fit(title, "newest input", np.atleast_1d(input), (len(self._model.plant.drives),))
+            joints[i, : (n + k) ** 2] = _fit(
+                title, "covariance", covariances[i], (n + k, n + k)
+            ).ravel()
+        u = _fit(
+            title,
+            "newest input",
+            np.atleast_1d(input),
+            (len(self._model.plant.drives),),
+        )
         return TwinsNow(starts, joints, u, *law_code(self._loop, controller))
 
     def ahead(
@@ -176,10 +195,14 @@ class Foresight:
         Raises:
             PlantError: a signal is invalid.
         """
-        means, variances = self.each(now, [Wanted.BANDED if banded else Wanted.MEAN], signal, disturbances)
+        means, variances = self.each(
+            now, [Wanted.BANDED if banded else Wanted.MEAN], signal, disturbances
+        )
         many = self._model.noise.size
         shown = variances[0] if banded else variances[0, :, :0]
-        return LoopForecast(means[0, :many].T, means[0, many:].T, shown[:many].T, shown[many:].T)
+        return LoopForecast(
+            means[0, :many].T, means[0, many:].T, shown[:many].T, shown[many:].T
+        )
 
     def each(
         self,
@@ -228,7 +251,9 @@ class Foresight:
         return references, model.disturbance_rows(disturbances, size)
 
 
-def _in_rows(values: Sequence[Sequence[float] | FloatArray], dtype: type[np.number[Any]]) -> NDArray[Any]:
+def _in_rows(
+    values: Sequence[Sequence[float] | FloatArray], dtype: type[np.number[Any]]
+) -> NDArray[Any]:
     """Values of several lengths in the rows of one array, zeros behind them."""
     rows = np.zeros((len(values), max(map(len, values))), dtype=dtype)
     for row, row_values in zip(rows, values, strict=True):
@@ -244,15 +269,25 @@ def _sizes_of(parameters: Parameters, unsure: Sequence[str]) -> tuple[int, int, 
 def _require_names(title: str, names: Sequence[str], declared: Sequence[str]) -> None:
     for name in names:
         if name not in declared:
-            raise PlantError(f"{title}: no parameter {name!r}; there are {', '.join(declared)}")
+            raise PlantError(
+                f"{title}: no parameter {name!r}; there are {', '.join(declared)}"
+            )
 
 
-def _fit(title: str, name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+def _fit(
+    title: str, name: str, values: ArrayLike, shape: tuple[int, ...]
+) -> FloatArray:
     """Copy values into an array for the compiled code, and check shape and values."""
     array = np.array(values, dtype=np.float64)
     if array.shape != shape or not finite(array):
-        bad = f"of shape {array.shape}" if array.shape != shape else "with a value that is not finite"
-        raise PlantError(f"{title}: {name} {bad} given; give finite values of shape {shape}")
+        bad = (
+            f"of shape {array.shape}"
+            if array.shape != shape
+            else "with a value that is not finite"
+        )
+        raise PlantError(
+            f"{title}: {name} {bad} given; give finite values of shape {shape}"
+        )
     return array
 
 

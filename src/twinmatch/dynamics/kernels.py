@@ -9,7 +9,7 @@ same stages. They need no correction at a kink: the rates are continuous there, 
 first-order effect.
 """
 
-# ruff: noqa: ARG001, PLR0917 (kernels take arrays in a row, and intrinsics the compiler's context)
+
 # mypy: disable-error-code="untyped-decorator"
 
 from __future__ import annotations
@@ -36,8 +36,27 @@ MAX_SWITCHES = 6
 
 Code = NDArray[np.int64]
 """A plant for the kernels: the addresses of its functions, in the order of `machine.FUNCTIONS`, and SIZES."""
-CONSTANTS, SWITCHES, STEP, TANGENTS, SLOPES, OUTPUTS, OUTPUT_SLOPES, START, QUANTITIES = range(9)
-N, N_INPUTS, N_OUTPUTS, N_PARAMETERS, N_UNKNOWN, N_QUANTITIES, N_CONSTANTS, N_SWITCHES = range(9, 17)
+(
+    CONSTANTS,
+    SWITCHES,
+    STEP,
+    TANGENTS,
+    SLOPES,
+    OUTPUTS,
+    OUTPUT_SLOPES,
+    START,
+    QUANTITIES,
+) = range(9)
+(
+    N,
+    N_INPUTS,
+    N_OUTPUTS,
+    N_PARAMETERS,
+    N_UNKNOWN,
+    N_QUANTITIES,
+    N_CONSTANTS,
+    N_SWITCHES,
+) = range(9, 17)
 SIZES = (
     "n_states", "n_inputs", "n_outputs", "n_parameters", "n_unknown", "n_quantities", "n_constants",
     "n_switches",
@@ -61,19 +80,38 @@ class Work(NamedTuple):
 
 
 @intrinsic
-def call(context: Any, address: Any, x: Any, u: Any, d: Any, p: Any, b: Any, out: Any) -> Any:
+def call(  # noqa: PLR0917
+    context: Any,  # noqa: ARG001
+    address: Any,
+    x: Any,
+    u: Any,
+    d: Any,
+    p: Any,
+    b: Any,
+    out: Any,
+) -> Any:
     """Call a plant's function."""
     return types.void(address, x, u, d, p, b, out), _by_address
 
 
 @intrinsic
-def _call_step(context: Any, address: Any, x: Any, u: Any, d: Any, p: Any, b: Any, out: Any, h: Any) -> Any:
+def _call_step(  # noqa: PLR0917
+    context: Any,  # noqa: ARG001
+    address: Any,
+    x: Any,
+    u: Any,
+    d: Any,
+    p: Any,
+    b: Any,
+    out: Any,
+    h: Any,
+) -> Any:
     return types.void(address, x, u, d, p, b, out, h), _by_address
 
 
 @intrinsic
-def _call_tangents(
-    context: Any,
+def _call_tangents(  # noqa: PLR0917
+    context: Any,  # noqa: ARG001
     address: Any,
     x: Any,
     u: Any,
@@ -95,7 +133,9 @@ def _call_tangents(
 def _by_address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     """Arrays are passed as pointers to their first value."""
     pointers = [
-        context.make_array(kind)(context, builder, value).data if isinstance(kind, types.Array) else value
+        context.make_array(kind)(context, builder, value).data
+        if isinstance(kind, types.Array)
+        else value
         for kind, value in zip(signature.args[1:], arguments[1:], strict=True)
     ]
     function = ir.FunctionType(ir.VoidType(), [value.type for value in pointers])
@@ -118,7 +158,15 @@ def prepare(code: Code, vector: FloatArray, work: Work) -> None:
     """Change the parameters."""
     for i in range(code[N_PARAMETERS]):
         work.p[i] = vector[i]
-    call(code[CONSTANTS], vector, vector, vector, work.p, work.b, work.p[code[N_PARAMETERS] :])
+    call(
+        code[CONSTANTS],
+        vector,
+        vector,
+        vector,
+        work.p,
+        work.b,
+        work.p[code[N_PARAMETERS] :],
+    )
 
 
 @compiled(inside=True)
@@ -128,14 +176,18 @@ def work_for(code: Code, vector: FloatArray) -> Work:
     b = np.zeros(code[N_SWITCHES])
     after = np.zeros(code[N] + 1)
     outputs = np.zeros(code[N_OUTPUTS])
-    output_slopes = np.zeros(code[N_OUTPUTS] * (code[N] + code[N_UNKNOWN] + code[N_INPUTS]))
+    output_slopes = np.zeros(
+        code[N_OUTPUTS] * (code[N] + code[N_UNKNOWN] + code[N_INPUTS])
+    )
     work = Work(p, b, after, outputs, output_slopes)
     prepare(code, vector, work)
     return work
 
 
 @compiled(inside=True)
-def _reach(code: Code, x: FloatArray, u: FloatArray, d: FloatArray, work: Work, h: float) -> float:
+def _reach(  # noqa: PLR0917
+    code: Code, x: FloatArray, u: FloatArray, d: FloatArray, work: Work, h: float
+) -> float:
     """Length of the step that ends just beyond the first kink within a step of h."""
     low = 0.0
     high = h
@@ -150,8 +202,14 @@ def _reach(code: Code, x: FloatArray, u: FloatArray, d: FloatArray, work: Work, 
 
 
 @compiled(inside=True)
-def tick(
-    code: Code, x: FloatArray, u: FloatArray, d: FloatArray, work: Work, period: float, steps: int
+def tick(  # noqa: PLR0917
+    code: Code,
+    x: FloatArray,
+    u: FloatArray,
+    d: FloatArray,
+    work: Work,
+    period: float,
+    steps: int,
 ) -> None:
     """Move the states one period on, in place."""
     after = work.after
@@ -171,7 +229,7 @@ def tick(
 
 
 @compiled(inside=True)
-def tick_with_tangents(
+def tick_with_tangents(  # noqa: PLR0917
     code: Code,
     x: FloatArray,
     u: FloatArray,
@@ -230,8 +288,14 @@ def scalar(u: float) -> FloatArray:
 
 
 @compiled
-def advance(
-    code: Code, vector: FloatArray, x: FloatArray, u: FloatArray, d: FloatArray, period: float, steps: int
+def advance(  # noqa: PLR0917
+    code: Code,
+    vector: FloatArray,
+    x: FloatArray,
+    u: FloatArray,
+    d: FloatArray,
+    period: float,
+    steps: int,
 ) -> FloatArray:
     """The states one period later under constant inputs, shape (m,), and disturbances, shape (n,)."""
     after = x.copy()
@@ -240,7 +304,7 @@ def advance(
 
 
 @compiled
-def advance_side_by_side(
+def advance_side_by_side(  # noqa: PLR0917
     code: Code,
     vectors: FloatArray,
     states: FloatArray,
@@ -294,7 +358,7 @@ def outputs_at(
 
 
 @compiled
-def parts(
+def parts(  # noqa: PLR0917
     code: Code,
     vector: FloatArray,
     y: float,
@@ -323,14 +387,17 @@ def parts(
         deviation = y - work.outputs[0]
         for i in range(n):
             if work.output_slopes[i] == 0.0:
-                started[i] = before[i] + (started[n + i] * deviation if started[n + i] != 0.0 else 0.0)
+                started[i] = before[i] + (
+                    started[n + i] * deviation if started[n + i] != 0.0 else 0.0
+                )
     call(code[OUTPUTS], started, of_u, d, work.p, work.b, work.outputs)
     begun = work.outputs[0]
     after = started[:n].copy()
     idle = started[:n].copy()
     tick(code, after, of_u, d, work, period, steps)
     tick(code, idle, of_rest, d, work, period, steps)
-    call(code[OUTPUTS], idle, of_u, d, work.p, work.b, work.outputs)  # what acts at once is not a movement
+    # what acts at once is not a movement
+    call(code[OUTPUTS], idle, of_u, d, work.p, work.b, work.outputs)
     passive = work.outputs[0]
     call(code[OUTPUTS], after, of_u, d, work.p, work.b, work.outputs)
     return work.outputs[0] - passive, passive - begun, after
@@ -339,7 +406,9 @@ def parts(
 @compiled
 def slopes_at(
     code: Code, vector: FloatArray, x: FloatArray, u: FloatArray, d: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[
+    FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray
+]:
     """Rates, their derivatives by states, shape (n, n), inputs, (n, m), and parameters, (n, q); and those of
     the outputs by states, shape (o, n), parameters, (o, q), and inputs, (o, m)."""
     n = code[N]
@@ -393,7 +462,7 @@ def spectral_bound(matrix: FloatArray) -> float:
 
 
 @compiled
-def step_count(
+def step_count(  # noqa: PLR0917
     code: Code,
     vector: FloatArray,
     corners: FloatArray,
@@ -419,7 +488,15 @@ def step_count(
             for branch in range(2 ** min(switched, MAX_SWITCHES)):
                 for i in range(switched):
                     work.b[i] = float(branch >> i & 1)
-                call(code[SLOPES], corners[k], drives[drive_row], d, work.p, work.b, slopes)
+                call(
+                    code[SLOPES],
+                    corners[k],
+                    drives[drive_row],
+                    d,
+                    work.p,
+                    work.b,
+                    slopes,
+                )
                 fx = slopes[n * q + n : n * q + n + n * n].reshape(n, n)
                 fastest = max(fastest, spectral_bound(fx))
     count = np.ceil(period * fastest / limit)

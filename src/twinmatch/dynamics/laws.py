@@ -6,8 +6,6 @@ as an observer with state feedback. A plant driven by a given input is the case 
 set-points.
 """
 
-# ruff: noqa: PLR0912, PLR0917 (a case for each law; kernels take arrays in a row)
-
 from __future__ import annotations
 
 from typing import Final
@@ -41,13 +39,21 @@ def pid_step(
     """Command of one sample, and the PID's state after it: integral and differentiated signal."""
     error = reference - y
     moved = -y if law[ON_MEASUREMENT] != 0.0 else error
-    unlimited = law[PROPORTIONAL] * error + integral + law[DERIVATIVE] * (moved - previous) / law[PERIOD]
+    unlimited = (
+        law[PROPORTIONAL] * error
+        + integral
+        + law[DERIVATIVE] * (moved - previous) / law[PERIOD]
+    )
     u = min(max(unlimited, law[LOW]), law[HIGH])
-    return u, integral + law[PERIOD] * (law[INTEGRAL] * error + law[BACK] * (u - unlimited)), moved
+    return (
+        u,
+        integral + law[PERIOD] * (law[INTEGRAL] * error + law[BACK] * (u - unlimited)),
+        moved,
+    )
 
 
 @compiled(inside=True)
-def law_step(
+def law_step(  # noqa: PLR0912, PLR0917
     law: LawCode,
     z: FloatArray,
     references: FloatArray,
@@ -71,7 +77,11 @@ def law_step(
     elif law[KIND] == TWO_LEVEL:
         on = z[0] > 0.0
         since = z[1] + law[PERIOD]
-        wanted = (y[0] <= references[k, 0] + law[ABOVE]) if on else (y[0] < references[k, 0] - law[BELOW])
+        wanted = (
+            (y[0] <= references[k, 0] + law[ABOVE])
+            if on
+            else (y[0] < references[k, 0] - law[BELOW])
+        )
         due = since >= (law[MIN_ON] if on else law[MIN_OFF])
         switched = (due and wanted != on) or (on and since >= law[MAX_ON])
         after[0] = 1.0 if on != switched else 0.0
@@ -103,8 +113,13 @@ def law_step(
 
 
 @compiled(inside=True)
-def law_tangents(
-    slopes: FloatArray, dy: FloatArray, dz: FloatArray, du: FloatArray, moved: FloatArray, n: int
+def law_tangents(  # noqa: PLR0917
+    slopes: FloatArray,
+    dy: FloatArray,
+    dz: FloatArray,
+    du: FloatArray,
+    moved: FloatArray,
+    n: int,
 ) -> None:
     """Derivatives of the commands, and of the law's state after a sample, in place, by n unknowns: `dy` are
     those of the readings, `slopes` the result of `law_slopes`, and `moved` is room of the size of dz."""
@@ -139,7 +154,7 @@ def _cause(law: LawCode, z: FloatArray, reference: float) -> int:
 
 
 @compiled(inside=True)
-def law_slopes(
+def law_slopes(  # noqa: PLR0917
     law: LawCode,
     z: FloatArray,
     references: FloatArray,
@@ -196,7 +211,7 @@ def law_slopes(
 
 
 @compiled(inside=True)
-def gain_slopes(
+def gain_slopes(  # noqa: PLR0912, PLR0917
     law: LawCode,
     z: FloatArray,
     references: FloatArray,
@@ -218,7 +233,9 @@ def gain_slopes(
         place = tuned[t]
         if law[KIND] == PID:
             error = references[k, 0] - y[0]
-            change = ((-y[0] if law[ON_MEASUREMENT] != 0.0 else error) - z[1]) / law[PERIOD]
+            change = ((-y[0] if law[ON_MEASUREMENT] != 0.0 else error) - z[1]) / law[
+                PERIOD
+            ]
             free = 1.0 if law[LOW] < u[0] < law[HIGH] else 0.0
             unlimited = law[PROPORTIONAL] * error + z[0] + law[DERIVATIVE] * change
             derivative = 0.0
@@ -237,7 +254,9 @@ def gain_slopes(
             before = law[HIGH] if on else law[LOW]
             cause = _cause(law, z, references[k, 0]) if u[0] != before else NOTHING
             longest = on and z[1] + law[PERIOD] >= law[MAX_ON]
-            if cause == BY_TIME and place == (MAX_ON if longest else MIN_ON if on else MIN_OFF):
+            if cause == BY_TIME and place == (
+                MAX_ON if longest else MIN_ON if on else MIN_OFF
+            ):
                 slopes[0, t] = -(u[0] - before) / law[PERIOD]
                 slopes[2, t] = -1.0
             elif cause == BY_READING and place == (ABOVE if on else BELOW):
@@ -260,7 +279,9 @@ def gain_slopes(
             if row < m:
                 value *= 1.0 if law[LOW + row] < u[row] < law[LOW + m + row] else 0.0
                 for i in range(m, m + q):
-                    slopes[i, t] = law[LOW + 2 * m + i * width + width - m + row] * value
+                    slopes[i, t] = (
+                        law[LOW + 2 * m + i * width + width - m + row] * value
+                    )
             slopes[row, t] = value
 
 

@@ -49,18 +49,29 @@ class Linear(NamedTuple):
 
 def loop_matrix(plant: Linear, law: LinearLaw) -> FloatArray:
     """How the states of a plant and a law around it deviate one sample later, shape (n + q, n + q)."""
-    free = np.block([[plant.A, np.zeros((len(plant.A), len(law.A)))], [law.B @ plant.C, law.A]])
+    free = np.block(
+        [[plant.A, np.zeros((len(plant.A), len(law.A)))], [law.B @ plant.C, law.A]]
+    )
     commands = np.hstack([law.D @ plant.C, law.C])
-    with np.errstate(over="ignore", invalid="ignore"):  # the caller looks whether it is finite
-        return np.asarray(free + np.vstack([plant.B, law.G]) @ commands, dtype=np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        # the caller looks whether it is finite
+        return np.asarray(
+            free + np.vstack([plant.B, law.G]) @ commands, dtype=np.float64
+        )
 
 
 def largest_eigenvalue(matrix: FloatArray) -> float:
     """Size of the largest eigenvalue of a square matrix; infinite where one of its values is not finite."""
-    return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else math.inf
+    return (
+        float(np.abs(np.linalg.eigvals(matrix)).max())
+        if np.isfinite(matrix).all()
+        else math.inf
+    )
 
 
-def rest_at(parameters: Parameters, output: ArrayLike, disturbances: ArrayLike | None = None) -> Rest:
+def rest_at(
+    parameters: Parameters, output: ArrayLike, disturbances: ArrayLike | None = None
+) -> Rest:
     """The states and the inputs of the equilibrium with these outputs, shape (o,), or a number.
 
     Raises:
@@ -77,8 +88,12 @@ def rest_at(parameters: Parameters, output: ArrayLike, disturbances: ArrayLike |
             "outputs hold it at given outputs"
         )
     states, _, _ = model.kernels.begin(parameters.vector, y, model.rest, row)
-    low, high = np.array([state.span for state in model.declared_states], dtype=np.float64).T
-    least, most = np.array([drive.limits for drive in drives.values()], dtype=np.float64).T
+    low, high = np.array(
+        [state.span for state in model.declared_states], dtype=np.float64
+    ).T
+    least, most = np.array(
+        [drive.limits for drive in drives.values()], dtype=np.float64
+    ).T
     scales = np.append(high - low, most - least)
     n = states.size
     u = model.rest
@@ -87,7 +102,9 @@ def rest_at(parameters: Parameters, output: ArrayLike, disturbances: ArrayLike |
         if step is None:
             break
         # Outside the plant's range its equations may be invalid: move by at most half the range per step.
-        states = np.clip(states + step[:n], states - 0.5 * scales[:n], states + 0.5 * scales[:n])
+        states = np.clip(
+            states + step[:n], states - 0.5 * scales[:n], states + 0.5 * scales[:n]
+        )
         u = np.clip(u + step[n:], least - scales[n:], most + scales[n:])
         if np.max(np.abs(step) / scales) <= STEADY:
             if (least <= u).all() and (u <= most).all():
@@ -97,12 +114,18 @@ def rest_at(parameters: Parameters, output: ArrayLike, disturbances: ArrayLike |
 
 
 def _newton_step(
-    parameters: Parameters, guess: Rest, y: FloatArray, row: FloatArray, scales: FloatArray
+    parameters: Parameters,
+    guess: Rest,
+    y: FloatArray,
+    row: FloatArray,
+    scales: FloatArray,
 ) -> FloatArray | None:
     """The step of states and inputs after which the linearised rates are zero and the outputs y; None if no
     such step is determined."""
     kernels = parameters.model.kernels
-    rates, fx, fu, _, hx, _, hu = kernels.slopes_at(parameters.vector, guess.states, guess.inputs, row)
+    rates, fx, fu, _, hx, _, hu = kernels.slopes_at(
+        parameters.vector, guess.states, guess.inputs, row
+    )
     outputs = kernels.outputs_at(parameters.vector, guess.states, guess.inputs, row)[0]
     slopes = np.block([[fx, fu], [hx, hu]]) * scales
     size = np.max(np.abs(slopes), axis=1)
@@ -111,7 +134,9 @@ def _newton_step(
     slopes = slopes / size[:, None]
     if np.linalg.matrix_rank(slopes) < scales.size:
         return None
-    return np.asarray(np.linalg.solve(slopes, -np.append(rates, outputs - y) / size) * scales)
+    return np.asarray(
+        np.linalg.solve(slopes, -np.append(rates, outputs - y) / size) * scales
+    )
 
 
 def _not_held(model: Model, y: FloatArray) -> PlantError:
@@ -130,7 +155,10 @@ def _not_held(model: Model, y: FloatArray) -> PlantError:
 
 
 def linearised(
-    parameters: Parameters, output: ArrayLike, period: float, disturbances: ArrayLike | None = None
+    parameters: Parameters,
+    output: ArrayLike,
+    period: float,
+    disturbances: ArrayLike | None = None,
 ) -> Linear:
     """The plant sampled with a period (s), linearised at the equilibrium with these outputs.
 
@@ -138,7 +166,9 @@ def linearised(
         PlantError: as `rest_at`, or the plant is too fast for the period.
     """
     rest_point = rest_at(parameters, output, disturbances)
-    return linearised_at(parameters, rest_point.states, rest_point.inputs, period, disturbances)
+    return linearised_at(
+        parameters, rest_point.states, rest_point.inputs, period, disturbances
+    )
 
 
 def linearised_at(

@@ -50,7 +50,7 @@ class Law(ABC):
 
     @property
     @abstractmethod
-    def GAINS(self) -> Mapping[str, int]:  # noqa: N802 (a constant of most laws)
+    def GAINS(self) -> Mapping[str, int]:  # noqa: N802
         """Places of the gains in its `code`, by name."""
 
     @property
@@ -84,7 +84,11 @@ class Law(ABC):
 
     @abstractmethod
     def follow(
-        self, state: FloatArray, reference: FloatArray, output: FloatArray, u: FloatArray
+        self,
+        state: FloatArray,
+        reference: FloatArray,
+        output: FloatArray,
+        u: FloatArray,
     ) -> FloatArray:
         """The state after a sample with these commands."""
 
@@ -164,7 +168,11 @@ class PidGains(Law):
         return np.array(controller_state(window, self))
 
     def follow(
-        self, state: FloatArray, reference: FloatArray, output: FloatArray, u: FloatArray
+        self,
+        state: FloatArray,
+        reference: FloatArray,
+        output: FloatArray,
+        u: FloatArray,
     ) -> FloatArray:
         """The state after a sample with this command.
 
@@ -205,31 +213,52 @@ def controller_state(window: Window, gains: PidGains) -> PidState:
         PlantError: the window holds fewer than two samples.
     """
     if len(window) < 2:
-        raise PlantError(f"controller state: the window holds {len(window)} sample; give at least two")
+        raise PlantError(
+            f"controller state: the window holds {len(window)} sample; give at least two"
+        )
     error = window.reference - window.output
     moved = -window.output if gains.on_measurement else error
     kept_share = 1.0 - gains.tracking * gains.period
-    free = next((k for k in range(1, len(window)) if not gains.saturates(float(window.input[k]))), None)
+    free = next(
+        (
+            k
+            for k in range(1, len(window))
+            if not gains.saturates(float(window.input[k]))
+        ),
+        None,
+    )
 
     def consistent(k: int) -> float:
         change = float(moved[k] - moved[k - 1])
-        return _consistent_integral(gains, float(error[k]), change, float(window.input[k]))
+        return _consistent_integral(
+            gains, float(error[k]), change, float(window.input[k])
+        )
 
     integral = consistent(1)
-    if free is not None and free > 1 and abs(kept_share) ** (free - 1) * _MAX_AMPLIFICATION >= 1:
+    if (
+        free is not None
+        and free > 1
+        and abs(kept_share) ** (free - 1) * _MAX_AMPLIFICATION >= 1
+    ):
         integral = consistent(free)
         for k in range(free - 1, 0, -1):
             integral += (1 - kept_share) * (integral - consistent(k)) / kept_share
             integral -= gains.period * gains.integral * float(error[k]) / kept_share
-    return PidState(_next_integral(gains, integral, consistent(1), float(error[1])), float(moved[1]))
+    return PidState(
+        _next_integral(gains, integral, consistent(1), float(error[1])), float(moved[1])
+    )
 
 
-def _consistent_integral(gains: PidGains, error: float, change: float, u: float) -> float:
+def _consistent_integral(
+    gains: PidGains, error: float, change: float, u: float
+) -> float:
     """The integral with which the unlimited controller gives exactly this u."""
     return u - gains.proportional * error - gains.derivative * change / gains.period
 
 
-def _next_integral(gains: PidGains, integral: float, consistent: float, error: float) -> float:
+def _next_integral(
+    gains: PidGains, integral: float, consistent: float, error: float
+) -> float:
     # u − v = consistent − integral; with Kb·Ts = 1 the integral before the sample drops out.
     excess = gains.tracking * gains.period * (consistent - integral)
     return integral + excess + gains.period * gains.integral * error
@@ -241,7 +270,9 @@ def _finite(**signals: ArrayLike) -> list[FloatArray]:
         row = np.array(value, dtype=np.float64, ndmin=1)
         if not finite(row):
             shown = row.item() if row.size == 1 else row.tolist()
-            raise PlantError(f"controller: {name} is {shown}; the controller takes only finite values")
+            raise PlantError(
+                f"controller: {name} is {shown}; the controller takes only finite values"
+            )
         rows.append(row)
     return rows
 
@@ -283,16 +314,24 @@ class TwoLevel(Law):
     def __post_init__(self) -> None:
         for name in ("off", "on", "below", "above", "least_on", "least_off", "period"):
             value = getattr(self, name)
-            if not math.isfinite(value) or (value < 0 and name not in ("off", "on", "below", "above")):
+            if not math.isfinite(value) or (
+                value < 0 and name not in ("off", "on", "below", "above")
+            ):
                 raise PlantError(
                     f"two-level law: {name} is {value}; give a finite number, times not negative"
                 )
-        if not self.off < self.on or not self.below + self.above >= 0 or not self.period > 0:
+        if (
+            not self.off < self.on
+            or not self.below + self.above >= 0
+            or not self.period > 0
+        ):
             raise PlantError(
                 f"two-level law: {self}: give off below on, limits that do not cross, and a positive period"
             )
         if not self.most_on > self.least_on:
-            raise PlantError(f"two-level law: most_on is {self.most_on} s; give more than least_on")
+            raise PlantError(
+                f"two-level law: most_on is {self.most_on} s; give more than least_on"
+            )
 
     @property
     def code(self) -> LawCode:
@@ -320,7 +359,7 @@ class TwoLevel(Law):
         lasted = self.least_on + self.least_off if on[0] == on[1] else 0.0
         return np.array([float(on[1]), lasted, window.outputs[1, 0]])
 
-    def saturates(self, u: float | FloatArray) -> bool:  # noqa: ARG002 (as of other laws)
+    def saturates(self, u: float | FloatArray) -> bool:  # noqa: ARG002
         """Whether a command is on a limit: the two levels are its only commands."""
         return False
 
@@ -333,7 +372,9 @@ class TwoLevel(Law):
     ) -> FloatArray:
         """The state after a sample with this command."""
         on = float(u[0] > 0.5 * (self.off + self.on))
-        return np.array([on, state[1] + self.period if on == state[0] else 0.0, output[0]])
+        return np.array(
+            [on, state[1] + self.period if on == state[0] else 0.0, output[0]]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -376,9 +417,13 @@ class LinearLaw(Law):
 
     def __post_init__(self) -> None:
         for part in fields(LinearLaw)[:-2]:
-            object.__setattr__(self, part.name, np.array(getattr(self, part.name), dtype=np.float64))
+            object.__setattr__(
+                self, part.name, np.array(getattr(self, part.name), dtype=np.float64)
+            )
         if self.C.ndim != 2 or self.D.ndim != 2 or self.E.ndim != 2:
-            raise PlantError("linear law: C, D and E must be matrices with a row for each command")
+            raise PlantError(
+                "linear law: C, D and E must be matrices with a row for each command"
+            )
         m, q = self.C.shape
         p = self.D.shape[1]
         r = self.E.shape[1]
@@ -397,9 +442,15 @@ class LinearLaw(Law):
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value.shape != shape or np.isnan(value).any():
-                raise PlantError(f"linear law: {name} has shape {value.shape}; give numbers of shape {shape}")
-        if not (self.low < self.high).all() or not (math.isfinite(self.period) and self.period > 0):
-            raise PlantError("linear law: give limits in increasing order, and a positive period")
+                raise PlantError(
+                    f"linear law: {name} has shape {value.shape}; give numbers of shape {shape}"
+                )
+        if not (self.low < self.high).all() or not (
+            math.isfinite(self.period) and self.period > 0
+        ):
+            raise PlantError(
+                "linear law: give limits in increasing order, and a positive period"
+            )
 
     def at_period(self, period: float) -> Law:
         """The law itself; its matrices hold at its own sample time, s.
@@ -411,7 +462,7 @@ class LinearLaw(Law):
         return self
 
     @property
-    def GAINS(self) -> Mapping[str, int]:  # noqa: N802 (a constant of the other laws)
+    def GAINS(self) -> Mapping[str, int]:  # noqa: N802
         """Places of the entries of its matrices in its `code`, by names such as "D[0,1]"."""
         m, q = self.C.shape
         p = self.D.shape[1]
@@ -420,10 +471,14 @@ class LinearLaw(Law):
         begin = LOW + 2 * m
         places = {}
         for row, first, names in ((0, m, "CDE"), (m, q, "ABF")):
-            for name, column, count in zip(names, (0, q, q + p), (q, p, r), strict=True):
+            for name, column, count in zip(
+                names, (0, q, q + p), (q, p, r), strict=True
+            ):
                 for i in range(first):
                     for j in range(count):
-                        places[f"{name}[{i},{j}]"] = begin + (row + i) * width + column + j
+                        places[f"{name}[{i},{j}]"] = (
+                            begin + (row + i) * width + column + j
+                        )
         return places
 
     @property
@@ -457,7 +512,15 @@ class LinearLaw(Law):
             ]
         )
         drive_limits = np.zeros(0) if self.drives is None else self.drives.ravel()
-        return np.concatenate([[LINEAR, self.period, m], self.low, self.high, numbers.ravel(), drive_limits])
+        return np.concatenate(
+            [
+                [LINEAR, self.period, m],
+                self.low,
+                self.high,
+                numbers.ravel(),
+                drive_limits,
+            ]
+        )
 
     def state(self, window: Window) -> FloatArray:
         """Its state after the window's second sample, shape (q,): the one with which it gives the recorded
@@ -480,7 +543,9 @@ class LinearLaw(Law):
             power = self.A @ power
             if len(rows) >= 4 * q + 2:
                 break
-        state: FloatArray = np.linalg.lstsq(np.concatenate(rows), np.concatenate(unexplained), rcond=None)[0]
+        state: FloatArray = np.linalg.lstsq(
+            np.concatenate(rows), np.concatenate(unexplained), rcond=None
+        )[0]
         return state
 
     def saturates(self, u: float | FloatArray) -> bool:
@@ -489,10 +554,20 @@ class LinearLaw(Law):
         return bool(((commands <= self.low) | (commands >= self.high)).any())
 
     def follow(
-        self, state: FloatArray, reference: FloatArray, output: FloatArray, u: FloatArray
+        self,
+        state: FloatArray,
+        reference: FloatArray,
+        output: FloatArray,
+        u: FloatArray,
     ) -> FloatArray:
         """The state after a sample with these commands."""
-        return self.A @ state + self.B @ output + self.F @ reference + self.G @ u + self.shift
+        return (
+            self.A @ state
+            + self.B @ output
+            + self.F @ reference
+            + self.G @ u
+            + self.shift
+        )
 
 
 def state_of(loop: Law, state: ArrayLike | None) -> FloatArray:
@@ -501,9 +576,13 @@ def state_of(loop: Law, state: ArrayLike | None) -> FloatArray:
     Raises:
         PlantError: it has another size than the law's, or is not finite.
     """
-    values = np.zeros(loop.n_states) if state is None else np.array(state, dtype=np.float64)
+    values = (
+        np.zeros(loop.n_states) if state is None else np.array(state, dtype=np.float64)
+    )
     if values.shape != (loop.n_states,) or not finite(values):
-        raise PlantError(f"controller: state {values.tolist()} given; give {loop.n_states} finite values")
+        raise PlantError(
+            f"controller: state {values.tolist()} given; give {loop.n_states} finite values"
+        )
     return values
 
 
@@ -538,4 +617,6 @@ class Controller:
         Raises:
             PlantError: a value is not finite; the state is unchanged.
         """
-        self.state = self.loop.follow(self.state, *_finite(reference=reference, output=output, input=u))
+        self.state = self.loop.follow(
+            self.state, *_finite(reference=reference, output=output, input=u)
+        )

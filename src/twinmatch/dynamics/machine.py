@@ -51,7 +51,9 @@ _LIBRARY: Final = (
     "erf",
     "erfc",
 )
-_OPERATIONS: Final[dict[type[ast.operator], tuple[Callable[..., float], Callable[..., Any]]]] = {
+_OPERATIONS: Final[
+    dict[type[ast.operator], tuple[Callable[..., float], Callable[..., Any]]]
+] = {
     ast.Add: (operator.add, ir.IRBuilder.fadd),
     ast.Sub: (operator.sub, ir.IRBuilder.fsub),
     ast.Mult: (operator.mul, ir.IRBuilder.fmul),
@@ -63,7 +65,8 @@ _POINTER = _DOUBLE.as_pointer()
 _PLAIN = ir.FunctionType(ir.VoidType(), [_POINTER] * 6)
 _STEP = ir.FunctionType(ir.VoidType(), [_POINTER] * 6 + [_DOUBLE])
 _TANGENTS = ir.FunctionType(
-    ir.VoidType(), [_POINTER] * 6 + [_DOUBLE, _POINTER, _POINTER, _INT.as_pointer(), _INT, _INT]
+    ir.VoidType(),
+    [_POINTER] * 6 + [_DOUBLE, _POINTER, _POINTER, _INT.as_pointer(), _INT, _INT],
 )
 
 Values = dict[str, Any]
@@ -87,7 +90,9 @@ def compiled_object(formulas: PlantFormulas) -> bytes:
 
 def linked(code: bytes) -> tuple[Any, dict[str, int]]:
     """Machine code made runnable: its owner, and the address of every function while the owner lives."""
-    engine = binding.create_mcjit_compiler(binding.parse_assembly(""), _target_machine())
+    engine = binding.create_mcjit_compiler(
+        binding.parse_assembly(""), _target_machine()
+    )
     engine.add_object_file(binding.ObjectFileRef.from_data(code))
     engine.finalize_object()
     return engine, {name: int(engine.get_function_address(name)) for name in FUNCTIONS}
@@ -124,7 +129,9 @@ def _module(f: PlantFormulas) -> ir.Module:
         ("quantities", [f.quantities]),
     ):
         function = _Function(module, name, _PLAIN, f)
-        function.store([value for part in parts for value in function.results(part, {})])
+        function.store(
+            [value for part in parts for value in function.results(part, {})]
+        )
         function.end()
     function = _Function(module, "switches", _PLAIN, f)
     function.store(function.switches({}))
@@ -141,8 +148,12 @@ def _write_step(module: ir.Module, f: PlantFormulas) -> None:
     """
     function = _Function(module, "step", _STEP, f)
     begun = _named("b", function.switches({}))
-    stages, after = function.runge_kutta(lambda values: function.results(f.rates, values | begun))
-    crossed = function.builder.select(function.crossed(begun, stages, after), _number(1.0), _number(0.0))
+    stages, after = function.runge_kutta(
+        lambda values: function.results(f.rates, values | begun)
+    )
+    crossed = function.builder.select(
+        function.crossed(begun, stages, after), _number(1.0), _number(0.0)
+    )
     function.store([*after, crossed])
     function.end()
 
@@ -166,7 +177,9 @@ def _write_tangents(module: ir.Module, f: PlantFormulas) -> None:
     stages, after = function.runge_kutta(rates)
     place = builder.gep(function.llvm.args[5], [_int(f.n_states)])
     asked = builder.fcmp_ordered("!=", builder.load(place), _number(0.0))
-    with builder.if_then(builder.and_(asked, function.crossed(begun, stages, after)), likely=False):
+    with builder.if_then(
+        builder.and_(asked, function.crossed(begun, stages, after)), likely=False
+    ):
         builder.ret_void()
     builder.store(_number(0.0), place)
     columns = _TangentColumns(function, f, slopes)
@@ -217,7 +230,9 @@ class _StageSlopes(NamedTuple):
 class _TangentColumns:
     """Writes how one column of tangents moves over a step: by the derivatives at its four stages."""
 
-    def __init__(self, function: _Function, f: PlantFormulas, slopes: Sequence[_StageSlopes]) -> None:
+    def __init__(
+        self, function: _Function, f: PlantFormulas, slopes: Sequence[_StageSlopes]
+    ) -> None:
         self._function = function
         self._builder = function.builder
         self._formulas = f
@@ -229,7 +244,9 @@ class _TangentColumns:
 
     def _stored_by_unknowns(self) -> Any:
         """Memory with the derivatives by unknowns, in which a column finds its own by a number."""
-        values = list(chain.from_iterable(stage.all_by_unknowns for stage in self._slopes))
+        values = list(
+            chain.from_iterable(stage.all_by_unknowns for stage in self._slopes)
+        )
         memory = self._builder.alloca(_DOUBLE, max(len(values), 1))
         for place, value in enumerate(values):
             self._builder.store(value, self._builder.gep(memory, [_int(place)]))
@@ -239,16 +256,27 @@ class _TangentColumns:
         """Write it for column j, which is that of an unknown, given by its number; None: of none."""
         function = self._function
         builder = self._builder
-        places = [self._element(self._columns, i, j) for i in range(self._formulas.n_states)]
-        of_u = [builder.load(self._element(self._du, k, j)) for k in range(self._formulas.n_inputs)]
+        places = [
+            self._element(self._columns, i, j) for i in range(self._formulas.n_states)
+        ]
+        of_u = [
+            builder.load(self._element(self._du, k, j))
+            for k in range(self._formulas.n_inputs)
+        ]
         before = [builder.load(place) for place in places]
         rates: list[list[Any]] = []
         of_x = before
         for stage in range(len(self._slopes)):
-            rates.append([self._rate(i, stage, of_x, of_u, unknown) for i in range(len(before))])
+            rates.append(
+                [self._rate(i, stage, of_x, of_u, unknown) for i in range(len(before))]
+            )
             if stage + 1 < len(self._slopes):
-                of_x = function.shifted(before, rates[-1], self._half if stage < 2 else function.h)
-        for place, value in zip(places, function.combined(before, rates, self._sixth), strict=True):
+                of_x = function.shifted(
+                    before, rates[-1], self._half if stage < 2 else function.h
+                )
+        for place, value in zip(
+            places, function.combined(before, rates, self._sixth), strict=True
+        ):
             builder.store(value, place)
 
     def _element(self, matrix: Any, row: int, j: Any) -> Any:
@@ -256,13 +284,17 @@ class _TangentColumns:
         builder = self._builder
         return builder.gep(matrix, [builder.add(builder.mul(_int(row), self._size), j)])
 
-    def _rate(self, i: int, stage: int, of_x: Sequence[Any], of_u: Sequence[Any], unknown: Any) -> Any:
+    def _rate(
+        self, i: int, stage: int, of_x: Sequence[Any], of_u: Sequence[Any], unknown: Any
+    ) -> Any:
         """How tangent i changes at a stage, where those of states and inputs are `of_x` and `of_u`."""
         builder = self._builder
         slopes = self._slopes[stage]
         terms = list(zip(slopes.by_states(i), of_x, strict=True))
         terms += zip(slopes.by_inputs(i), of_u, strict=True)
-        products = [builder.fmul(slope, value) for slope, value in terms if not _is_zero(slope)]
+        products = [
+            builder.fmul(slope, value) for slope, value in terms if not _is_zero(slope)
+        ]
         if unknown is not None and not all(map(_is_zero, slopes.by_unknowns(i))):
             first = (stage * self._formulas.n_states + i) * self._formulas.n_unknown
             place = builder.add(unknown, _int(first))
@@ -273,7 +305,9 @@ class _TangentColumns:
 class _Function:
     """One function while it is written."""
 
-    def __init__(self, module: ir.Module, name: str, kind: ir.FunctionType, f: PlantFormulas) -> None:
+    def __init__(
+        self, module: ir.Module, name: str, kind: ir.FunctionType, f: PlantFormulas
+    ) -> None:
         self.llvm = ir.Function(module, kind, name)
         self.builder = ir.IRBuilder(self.llvm.append_basic_block())
         self._formulas = f
@@ -308,12 +342,16 @@ class _Function:
         known_values = dict(values)
         states = []
         for i, tree in enumerate(self._formulas.switches.results):
-            on = self.builder.fcmp_ordered(">", self._evaluate(tree, known_values), _number(0.0))
+            on = self.builder.fcmp_ordered(
+                ">", self._evaluate(tree, known_values), _number(0.0)
+            )
             states.append(self.builder.select(on, _number(1.0), _number(0.0)))
             known_values[f"b{i}"] = states[-1]
         return states
 
-    def crossed(self, begun: Values, stages: Sequence[Sequence[Any]], after: Sequence[Any]) -> Any:
+    def crossed(
+        self, begun: Values, stages: Sequence[Sequence[Any]], after: Sequence[Any]
+    ) -> Any:
         """Whether a switch is not as at the step's begin, at one of its stages or after it."""
         differs: Any = ir.Constant(ir.IntType(1), 0)
         for states in (after, *reversed(stages[1:])):
@@ -322,7 +360,9 @@ class _Function:
                 differs = self.builder.or_(differs, differs_here)
         return differs
 
-    def runge_kutta(self, rates: Callable[[Values], list[Any]]) -> tuple[list[list[Any]], list[Any]]:
+    def runge_kutta(
+        self, rates: Callable[[Values], list[Any]]
+    ) -> tuple[list[list[Any]], list[Any]]:
         """The states at the four stages of a step, and after it."""
         n = self._formulas.n_states
         builder = self.builder
@@ -341,12 +381,16 @@ class _Function:
         b = self.builder
         return [b.fadd(x, b.fmul(h, k)) for x, k in zip(begun, slopes, strict=True)]
 
-    def combined(self, begun: Sequence[Any], slopes: Sequence[Sequence[Any]], sixth: Any) -> list[Any]:
+    def combined(
+        self, begun: Sequence[Any], slopes: Sequence[Sequence[Any]], sixth: Any
+    ) -> list[Any]:
         """Values after a Runge–Kutta step with the slopes of its stages."""
         b = self.builder
         ends = []
         for x, k1, k2, k3, k4 in zip(begun, *slopes, strict=True):
-            total = b.fadd(b.fadd(k1, b.fmul(_number(2.0), k2)), b.fmul(_number(2.0), k3))
+            total = b.fadd(
+                b.fadd(k1, b.fmul(_number(2.0), k2)), b.fmul(_number(2.0), k3)
+            )
             ends.append(b.fadd(x, b.fmul(sixth, b.fadd(total, k4))))
         return ends
 
@@ -375,7 +419,7 @@ class _Function:
         b.branch(head)
         b.position_at_end(after)
 
-    def _evaluate(self, tree: ast.expr, known: Values) -> Any:  # noqa: PLR0911 (a case for each kind)
+    def _evaluate(self, tree: ast.expr, known: Values) -> Any:  # noqa: PLR0911
         """The value of an expression; kinks are switches by now, so there are no conditions."""
         b = self.builder
 
@@ -396,14 +440,24 @@ class _Function:
             case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATIONS:
                 return _fold(b, op, of(left), of(right))
             case ast.Call(func=function, args=arguments):
-                name = function.attr if isinstance(function, ast.Attribute) else ast.unparse(function)
-                return self._call({"abs": "fabs"}.get(name, name), [of(a) for a in arguments])
-        raise PlantError(f"plant: the equations contain {ast.unparse(tree)}, which cannot be compiled")
+                name = (
+                    function.attr
+                    if isinstance(function, ast.Attribute)
+                    else ast.unparse(function)
+                )
+                return self._call(
+                    {"abs": "fabs"}.get(name, name), [of(a) for a in arguments]
+                )
+        raise PlantError(
+            f"plant: the equations contain {ast.unparse(tree)}, which cannot be compiled"
+        )
 
     def _power(self, base: Any, exponent: Any) -> Any:
         """Whole constant powers are products; any other is the library's."""
         b = self.builder
-        if not (isinstance(exponent, ir.Constant) and float(exponent.constant).is_integer()):
+        if not (
+            isinstance(exponent, ir.Constant) and float(exponent.constant).is_integer()
+        ):
             return self._call("pow", [base, exponent])
         remaining = abs(int(exponent.constant))
         result = None
@@ -425,7 +479,9 @@ class _Function:
             kind = ir.FunctionType(_DOUBLE, [_DOUBLE] * len(arguments))
             function = module.globals.get(name) or ir.Function(module, kind, name)
         else:
-            raise PlantError(f"plant: the equations use {name}, which cannot be compiled")
+            raise PlantError(
+                f"plant: the equations use {name}, which cannot be compiled"
+            )
         return self.builder.call(function, arguments)
 
 

@@ -34,7 +34,9 @@ def rest_of(parameters: Parameters) -> tuple[FloatArray, FloatArray]:
     """States, shape (n,), and inputs, shape (m,), in the middle of the outputs' ranges; where nothing holds
     the plant there, those that it begins with."""
     model = parameters.model
-    levels = np.array([np.mean(y.set_points or y.span) for y in model.plant.outputs.values()])
+    levels = np.array(
+        [np.mean(y.set_points or y.span) for y in model.plant.outputs.values()]
+    )
     try:
         states, inputs = rest_at(parameters, levels)
     except PlantError:
@@ -57,10 +59,14 @@ def effect_of(plant: type[Plant], period: float) -> InputEffect:
     if linear is not None:
         return InputEffect(A=linear.A, B=linear.B, C=linear.C, D=np.zeros((p, m)))
     steps = np.array([output.least_step for output in plant.outputs.values()])
-    limits = np.array([drive.limits for drive in plant.drives.values()], dtype=np.float64)
+    limits = np.array(
+        [drive.limits for drive in plant.drives.values()], dtype=np.float64
+    )
     ranges = limits[:, 1] - limits[:, 0]
     direct = np.outer(steps, 1.0 / (_SHARE * ranges))
-    return InputEffect(A=np.zeros((0, 0)), B=np.zeros((0, m)), C=np.zeros((p, 0)), D=direct)
+    return InputEffect(
+        A=np.zeros((0, 0)), B=np.zeros((0, m)), C=np.zeros((p, 0)), D=direct
+    )
 
 
 def _linear(parameters: Parameters, period: float) -> Linear | None:

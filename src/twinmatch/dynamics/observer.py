@@ -123,23 +123,35 @@ class Observer:
         m = len(random_walks)
         among = (self._kernels.UNKNOWN, model.names)
         self._which = np.array(
-            [[names.index(name) for name in random_walks] for names in among], dtype=np.int64
+            [[names.index(name) for name in random_walks] for names in among],
+            dtype=np.int64,
         ).reshape(2, m)
         self._period = float(period)
-        rates = [*self._deviations("drift", drift, n), *(w.drift for w in random_walks.values())]
-        self._process_noise = np.square(self._deviations("drift", rates, n + m)) * self._period
+        rates = [
+            *self._deviations("drift", drift, n),
+            *(w.drift for w in random_walks.values()),
+        ]
+        self._process_noise = (
+            np.square(self._deviations("drift", rates, n + m)) * self._period
+        )
         self._factor = np.ones(int(adaptive))
         if not limit > 0:
-            raise PlantError(f"{model.title}: the observer's limit is {limit}; it must be positive")
+            raise PlantError(
+                f"{model.title}: the observer's limit is {limit}; it must be positive"
+            )
         self._limit = float(limit)
         self._noise = model.noise
         self._row = model.disturbance_row(disturbances)
         if states is None:
             if output is None:
-                raise PlantError(f"{model.title}: an observer starts from an output or from states; give one")
+                raise PlantError(
+                    f"{model.title}: an observer starts from an output or from states; give one"
+                )
             states = begin(parameters, output, input=input, disturbances=self._row)
         self.states = states
-        self._joint = self._first_covariance(start, covariance, [w.start for w in random_walks.values()])
+        self._joint = self._first_covariance(
+            start, covariance, [w.start for w in random_walks.values()]
+        )
         self.parameters = parameters
 
     @property
@@ -153,7 +165,9 @@ class Observer:
         """
         if not self.estimated:
             return self._parameters
-        estimates = zip(self.estimated, self._vector[self._which[1]].tolist(), strict=True)
+        estimates = zip(
+            self.estimated, self._vector[self._which[1]].tolist(), strict=True
+        )
         return self._parameters.replace(**dict(estimates))
 
     @parameters.setter
@@ -196,7 +210,10 @@ class Observer:
         return self._joint.copy()
 
     def correct(
-        self, output: ArrayLike, disturbances: ArrayLike | None = None, input: ArrayLike | None = None
+        self,
+        output: ArrayLike,
+        disturbances: ArrayLike | None = None,
+        input: ArrayLike | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Take the readings of a sample, shape (o,), or a number, under its inputs (default: the drives at
         rest), which count where an output depends on them at once; return their innovations, each given the
@@ -278,14 +295,19 @@ class Observer:
         self._row = arrays.disturbances
 
     def _first_covariance(
-        self, start: ArrayLike | None, covariance: ArrayLike | None, estimated: list[float]
+        self,
+        start: ArrayLike | None,
+        covariance: ArrayLike | None,
+        estimated: list[float],
     ) -> FloatArray:
         n = self._states.size
         m = len(estimated)
         if (start is None) == (covariance is None):
             msg = f"{self._title}: give an observer's start (standard deviations) or its covariance, not both"
             raise PlantError(msg)
-        joint = np.diag(np.square(self._deviations("start", [0.0] * n + estimated, n + m)))
+        joint = np.diag(
+            np.square(self._deviations("start", [0.0] * n + estimated, n + m))
+        )
         if covariance is None:
             joint[:n, :n] = np.diag(np.square(self._deviations("start", start, n)))
             return joint
@@ -299,7 +321,10 @@ class Observer:
 
     def _deviations(self, name: str, values: ArrayLike | None, size: int) -> FloatArray:
         deviations = np.array(values, dtype=np.float64)
-        if deviations.shape != (size,) or not (np.isfinite(deviations) & (deviations >= 0)).all():
+        if (
+            deviations.shape != (size,)
+            or not (np.isfinite(deviations) & (deviations >= 0)).all()
+        ):
             raise PlantError(
                 f"{self._title}: {name} {deviations.tolist()} given; give {size} finite standard deviations, "
                 f"none negative ({', '.join((*self._model.states, *self.estimated)[:size])})"
@@ -322,7 +347,9 @@ class ObserverBank:
         self._same = (first.period, first.noise, first.limit)
         self._sizes = np.zeros((count, 2), dtype=np.int64)
         self._codes = np.stack([arguments.code for arguments in all_arguments])
-        self._steps = np.array([arguments.steps for arguments in all_arguments], dtype=np.int64)
+        self._steps = np.array(
+            [arguments.steps for arguments in all_arguments], dtype=np.int64
+        )
         for i, arguments in enumerate(all_arguments):
             self._sizes[i] = arguments.n_states, arguments.vector.size
         most, longest = self._sizes.max(axis=0)

@@ -44,7 +44,9 @@ def plant_scale(plant: type[Plant], period: float, longer: float = 1.0) -> float
     slow = time_constant(plant)
     if not slow:
         return time_scale(period) * longer
-    return max(_MIN_SAMPLES * period, min(slow / _USUAL, _MAX_SAMPLES * period)) * longer
+    return (
+        max(_MIN_SAMPLES * period, min(slow / _USUAL, _MAX_SAMPLES * period)) * longer
+    )
 
 
 def slow_scale(plant: type[Plant], period: float) -> float:
@@ -79,7 +81,9 @@ def time_constant(plant: type[Plant]) -> float:
 def _slowest(parameters: Parameters) -> float:
     model = parameters.model
     states, inputs = rest_of(parameters)
-    _, fx, fu, _, hx, _, _ = model.kernels.slopes_at(parameters.vector, states, inputs, model.disturbances)
+    _, fx, fu, _, hx, _, _ = model.kernels.slopes_at(
+        parameters.vector, states, inputs, model.disturbances
+    )
     with np.errstate(all="ignore"):
         return _slow_mode(fx, fu, hx)
 
@@ -96,5 +100,7 @@ def _slow_mode(fx: FloatArray, fu: FloatArray, hx: FloatArray) -> float:
     shown_by_outputs = np.max(np.abs(hx @ modes), axis=0)
     driven_by_inputs = np.max(np.abs(driven), axis=1)
     shares = shown_by_outputs * driven_by_inputs / sizes
-    is_shown = decays_at_all & (shares >= _SHOWN * np.max(shares[decays_at_all], initial=0.0))
+    is_shown = decays_at_all & (
+        shares >= _SHOWN * np.max(shares[decays_at_all], initial=0.0)
+    )
     return float(1.0 / np.min(decays[is_shown])) if is_shown.any() else 0.0

@@ -92,7 +92,9 @@ def pid_law(pids: Sequence[FilteredPid], period: float) -> LinearLaw:
             f"pid: {len(pids)} given at a period of {period:g} s; give one, and a positive period"
         )
     parts = [_matrices(pid, period) for pid in pids]
-    A, B, C, D, E, F, G = (_block_diagonal(matrices) for matrices in zip(*parts, strict=True))
+    A, B, C, D, E, F, G = (
+        _block_diagonal(matrices) for matrices in zip(*parts, strict=True)
+    )
     offset = np.array([pid.offset for pid in pids])
     return LinearLaw(
         A=A,
@@ -136,9 +138,13 @@ class PidLoops(LinearLaw):
         """
         periods = {gains.period for gains in pids}
         if len(periods) != 1:
-            raise PlantError(f"pid: {len(pids)} given, every {sorted(periods)} s; give PIDs of one period")
+            raise PlantError(
+                f"pid: {len(pids)} given, every {sorted(periods)} s; give PIDs of one period"
+            )
         law = pid_law([FilteredPid.of(gains) for gains in pids], periods.pop())
-        return cls(**{field.name: getattr(law, field.name) for field in fields(law)}, pids=pids)
+        return cls(
+            **{field.name: getattr(law, field.name) for field in fields(law)}, pids=pids
+        )
 
     def at_period(self, period: float) -> PidLoops:
         """The same PIDs at another sample time, s."""
@@ -166,9 +172,14 @@ def _matrices(pid: FilteredPid, period: float) -> tuple[np.ndarray, ...]:
     c = np.array([[1.0, 1.0]])
     d = np.array([[by_reading]])
     e = np.array([[by_reference]])
-    a = np.array([[1.0, 0.0], [0.0, kept_share]]) - tracking * np.array([[1.0], [0.0]]) @ c
+    a = (
+        np.array([[1.0, 0.0], [0.0, kept_share]])
+        - tracking * np.array([[1.0], [0.0]]) @ c
+    )
     b = np.array([[-integrated - tracking * by_reading], [filtered]])
-    f = np.array([[integrated - tracking * by_reference], [-filtered * pid.derivative_weight]])
+    f = np.array(
+        [[integrated - tracking * by_reference], [-filtered * pid.derivative_weight]]
+    )
     g = np.array([[tracking], [0.0]])
     if pid.integral == 0:
         return a[1:, 1:], b[1:], c[:, 1:], d, e, f[1:], g[1:]
@@ -185,4 +196,6 @@ def as_linear(law: Law) -> LinearLaw:
         return law
     if isinstance(law, PidGains):
         return pid_law([FilteredPid.of(law)], law.period)
-    raise PlantError(f"{type(law).__name__}: it is not linear; its cycle says what eigenvalues say of others")
+    raise PlantError(
+        f"{type(law).__name__}: it is not linear; its cycle says what eigenvalues say of others"
+    )

@@ -22,7 +22,11 @@ from twinmatch.dynamics.declarations import (
     State,
     Structure,
 )
-from twinmatch.dynamics.definition import PlantDefinition, require_consistent, require_structure
+from twinmatch.dynamics.definition import (
+    PlantDefinition,
+    require_consistent,
+    require_structure,
+)
 from twinmatch.dynamics.store import kernels_of
 from twinmatch.signals import FloatArray, finite
 
@@ -49,7 +53,9 @@ class Plant(PlantDefinition):
         declarations: dict[str, Declaration] = {}
         for base in reversed(cls.__mro__):
             declarations |= {
-                n: v for n, v in vars(base).items() if isinstance(v, Declaration) and v.name == n
+                n: v
+                for n, v in vars(base).items()
+                if isinstance(v, Declaration) and v.name == n
             }
         cls.declarations = declarations
         cls.states = cls._of(State)
@@ -68,7 +74,9 @@ class Plant(PlantDefinition):
         """
         name = next(iter(cls.structures)) if structure is None else structure
         if name not in cls.structures:
-            raise PlantError(f"plant {cls.name}: no structure {name!r}; it has {', '.join(cls.structures)}")
+            raise PlantError(
+                f"plant {cls.name}: no structure {name!r}; it has {', '.join(cls.structures)}"
+            )
         if (cls, name) not in _MODELS:
             _MODELS[cls, name] = Model(cls, name)
         return _MODELS[cls, name]
@@ -81,7 +89,9 @@ class Plant(PlantDefinition):
             PlantError: a structure of the plant's file has that name, or it uses undeclared names.
         """
         before = cls.structures.get(name)
-        if structure.external is None or (before is not None and before.external is None):
+        if structure.external is None or (
+            before is not None and before.external is None
+        ):
             msg = f"plant {cls.name}: its file declares a structure {name!r}; give the new one another name"
             raise PlantError(msg)
         require_structure(cls, name, structure)
@@ -110,7 +120,9 @@ def channels(plant: type[Plant]) -> tuple[type[Plant], ...]:
         return (plant,)
     single_channels = []
     for k in range(max(len(plant.outputs), len(plant.drives))):
-        alone: type[Plant] = type(plant.__name__, (plant,), {"title": plant.title}, name=plant.name)
+        alone: type[Plant] = type(
+            plant.__name__, (plant,), {"title": plant.title}, name=plant.name
+        )
         alone.channel_of = (plant, k)
         alone.outputs = _one_of(plant.outputs, k)
         alone.drives = _one_of(plant.drives, k)
@@ -176,9 +188,17 @@ class Model:
         if self.structure.external is not None:
             return self.structure.external.kernels_by(())
         parts = self.structure.parts
-        sharing = [s for s in self.plant.structures.values() if s.parts == parts and s.external is None]
-        kernels = kernels_of(self.plant, parts, frozenset[str]().union(*(s.free for s in sharing)))
-        if unused := [name for name in self.structure.free if name not in kernels.PARAMETERS]:
+        sharing = [
+            s
+            for s in self.plant.structures.values()
+            if s.parts == parts and s.external is None
+        ]
+        kernels = kernels_of(
+            self.plant, parts, frozenset[str]().union(*(s.free for s in sharing))
+        )
+        if unused := [
+            name for name in self.structure.free if name not in kernels.PARAMETERS
+        ]:
             place = f"plant {self.plant.name}, structure {self.structure_name!r}"
             raise PlantError(
                 f"{place}: {unused[0]} is free, but does not occur in the equations with the structure's "
@@ -189,7 +209,9 @@ class Model:
     @property
     def equations(self) -> str:
         """A digest of its equations, which changes only if they do; empty if they are external."""
-        return "" if self.structure.external is not None else str(self.kernels.EQUATIONS)
+        return (
+            "" if self.structure.external is not None else str(self.kernels.EQUATIONS)
+        )
 
     def kernels_by(self, names: Iterable[str]) -> Any:
         """Functions with tangents for these parameters."""
@@ -208,7 +230,9 @@ class Model:
     def declared(self) -> Mapping[str, Parameter]:
         """The parameters that the equations of this structure depend on, in the order of every array."""
         external_parameters = (
-            self.structure.external.parameters if self.structure.external is not None else {}
+            self.structure.external.parameters
+            if self.structure.external is not None
+            else {}
         )
         all_parameters = {**self.plant.parameters, **external_parameters}
         return {name: all_parameters[name] for name in self.kernels.PARAMETERS}
@@ -216,7 +240,11 @@ class Model:
     @cached_property
     def declared_states(self) -> tuple[State, ...]:
         """The states, in the order of every array of states."""
-        external_states = self.structure.external.states if self.structure.external is not None else {}
+        external_states = (
+            self.structure.external.states
+            if self.structure.external is not None
+            else {}
+        )
         all_states = {**self.plant.states, **external_states}
         return tuple(all_states[name] for name in self.states)
 
@@ -226,7 +254,10 @@ class Model:
         if self.is_external:
             return False
         vector = np.array(list(self.defaults.values()), dtype=np.float64)
-        rows = (self.kernels.slopes_at(vector, self.corners[-1], u, self.disturbances) for u in self.drives)
+        rows = (
+            self.kernels.slopes_at(vector, self.corners[-1], u, self.disturbances)
+            for u in self.drives
+        )
         return any(bool(np.any(slopes[6])) for slopes in rows)
 
     @property
@@ -248,7 +279,10 @@ class Model:
     def defaults(self) -> Mapping[str, float]:
         """Default values of the parameters."""
         fixed = self.structure.fixed
-        return {name: fixed.get(name, declared.default) for name, declared in self.declared.items()}
+        return {
+            name: fixed.get(name, declared.default)
+            for name, declared in self.declared.items()
+        }
 
     def parameters(self, **values: float) -> Parameters:
         """Parameters with these values; those not named have the structure's defaults.
@@ -266,7 +300,9 @@ class Model:
     @cached_property
     def disturbances(self) -> FloatArray:
         """Defaults of the disturbances, shape (m,)."""
-        return np.array([d.default for d in self.plant.disturbances.values()], dtype=np.float64)
+        return np.array(
+            [d.default for d in self.plant.disturbances.values()], dtype=np.float64
+        )
 
     def disturbance_row(self, values: ArrayLike | None) -> FloatArray:
         """One value per disturbance, shape (m,): the given ones, or the defaults.
@@ -307,10 +343,17 @@ class Model:
             PlantError: the plant is too fast for samples of this period.
         """
         if not (math.isfinite(period) and period > 0):
-            raise PlantError(f"{self.title}: the period is {period} s; it must be finite and positive")
+            raise PlantError(
+                f"{self.title}: the period is {period} s; it must be finite and positive"
+            )
         kernels = self.kernels
         count = kernels.step_count(
-            vector, self.corners, self.drives, self.disturbances, float(period), kernels.RATE_LIMIT
+            vector,
+            self.corners,
+            self.drives,
+            self.disturbances,
+            float(period),
+            kernels.RATE_LIMIT,
         )
         if not count <= self.kernels.MAX_STEPS:
             raise PlantError(
@@ -334,12 +377,16 @@ class Model:
     @cached_property
     def rest(self) -> FloatArray:
         """Rest values of the drives, shape (m,)."""
-        return np.array([drive.rest for drive in self.plant.drives.values()], dtype=np.float64)
+        return np.array(
+            [drive.rest for drive in self.plant.drives.values()], dtype=np.float64
+        )
 
     @cached_property
     def noise(self) -> FloatArray:
         """Standard deviations of the readings, shape (o,)."""
-        return np.array([output.noise for output in self.plant.outputs.values()], dtype=np.float64)
+        return np.array(
+            [output.noise for output in self.plant.outputs.values()], dtype=np.float64
+        )
 
     def row_of(self, what: str, values: ArrayLike) -> FloatArray:
         """One value for each of the plant's `what`: "inputs" or "outputs"; a single one may be a number.
@@ -353,8 +400,12 @@ class Model:
             shown = row.tolist() if row.size > 1 else row.item() if row.size else row
             name = "input" if what == "inputs" else "reading"
             if row.shape == (len(names),):
-                raise PlantError(f"{self.title}: the {name} is {shown}; only finite values can be used")
-            raise PlantError(f"{self.title}: {row.size} {what} given; give {', '.join(names)}")
+                raise PlantError(
+                    f"{self.title}: the {name} is {shown}; only finite values can be used"
+                )
+            raise PlantError(
+                f"{self.title}: {row.size} {what} given; give {', '.join(names)}"
+            )
         return row
 
 

@@ -34,10 +34,14 @@ def prepare(plant: type[Plant]) -> Iterator[Model]:
         PlantError: the equations cannot be used, or the cache folder cannot be written.
     """
     single = len(plant.outputs) == len(plant.drives) == 1
-    local_structures = [name for name, structure in plant.structures.items() if structure.external is None]
+    local_structures = [
+        name
+        for name, structure in plant.structures.items()
+        if structure.external is None
+    ]
     for name in local_structures:
         model = plant.model(name)
-        model.kernels  # noqa: B018 (compiled at the first use)
+        model.kernels  # noqa: B018
         if single and name == local_structures[0]:
             _use(model.parameters())
         yield model
@@ -54,7 +58,9 @@ def _use(parameters: Parameters) -> None:
     period = 1.0 if law is None else law.period
     output = read(parameters, begin(parameters, sum(model.plant.output.span) / 2))
     states = begin(parameters, output)
-    quantities(parameters, advance(parameters, states, usual_input, period), usual_input)
+    quantities(
+        parameters, advance(parameters, states, usual_input, period), usual_input
+    )
     advance_side_by_side([parameters], states[None], usual_input, period)
     model.kernels.slopes_at(parameters.vector, states, model.rest, model.disturbances)
     # The kernel of the energy balance.
@@ -69,21 +75,35 @@ def _use(parameters: Parameters) -> None:
         parameters.steps(period),
     )
     observer = Observer(
-        parameters, output, period=period, drift=np.ones(states.size), start=np.ones(states.size)
+        parameters,
+        output,
+        period=period,
+        drift=np.ones(states.size),
+        start=np.ones(states.size),
     )
     observer.correct(output)
     observer.predict(usual_input)
     levels = np.full(_SAMPLES, output)
-    foresight = Foresight([(parameters, ())], law, drift=[np.ones(states.size)], period=period)
+    foresight = Foresight(
+        [(parameters, ())], law, drift=[np.ones(states.size)], period=period
+    )
     loop_state = foresight.at([states], [observer.joint], usual_input, None)
-    foresight.ahead(loop_state, np.full(_SAMPLES, usual_input) if law is None else levels)
-    run = simulate_driven(parameters, np.full(_SAMPLES, usual_input), states=states, period=period)
+    foresight.ahead(
+        loop_state, np.full(_SAMPLES, usual_input) if law is None else levels
+    )
+    run = simulate_driven(
+        parameters, np.full(_SAMPLES, usual_input), states=states, period=period
+    )
     if law is not None:
         run = simulate_closed_loop(parameters, levels, states=states, law=law)
     disturbances = model.disturbance_rows(None, _SAMPLES)
-    window = Window(levels, run.outputs, run.inputs, period=period, disturbances=disturbances)
+    window = Window(
+        levels, run.outputs, run.inputs, period=period, disturbances=disturbances
+    )
     structure = model.structure
-    experiment = Experiment(parameters, structure.free, window, free_starts=structure.free_starts)
+    experiment = Experiment(
+        parameters, structure.free, window, free_starts=structure.free_starts
+    )
     values = experiment.values_of(parameters)
     experiment.normal(values)
     experiment.descend(values, values, values, np.ones(values.size), 1)

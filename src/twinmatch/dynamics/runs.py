@@ -1,7 +1,5 @@
 """Compiled runs of every plant: over a record, with exact tangents, and in a least-squares search."""
 
-# ruff: noqa: PLR0912, PLR0917 (kernels are long and take arrays in a row)
-
 from __future__ import annotations
 
 from typing import Any, NamedTuple
@@ -136,7 +134,9 @@ class Tangents(NamedTuple):
 
 
 @compiled(innermost=True)
-def add_row(normal: FloatArray, rows: FloatArray, s: int, weight: float, robust: bool) -> None:
+def add_row(
+    normal: FloatArray, rows: FloatArray, s: int, weight: float, robust: bool
+) -> None:
     """Add one residual, the last entry of row s, and its derivatives to the lower half of the equations."""
     if weight == 0.0:
         return
@@ -159,7 +159,7 @@ def add_row(normal: FloatArray, rows: FloatArray, s: int, weight: float, robust:
 
 
 @compiled
-def run(
+def run(  # noqa: PLR0917
     code: Code,
     vector: FloatArray,
     x: FloatArray,
@@ -201,10 +201,14 @@ def run(
                 inputs_now[i] = references[k, i]
         call(code[OUTPUTS], states_now, inputs_now, d, work.p, work.b, work.outputs)
         for o in range(outputs):
-            last[o] = reading(work.outputs[o], noise[k, o], frozen[k] and k > 0, resolution, last[o])
+            last[o] = reading(
+                work.outputs[o], noise[k, o], frozen[k] and k > 0, resolution, last[o]
+            )
             y[k, o] = last[o]
         if kind == PID:
-            inputs_now[0], z[0], z[1] = pid_step(law, references[k, 0], last[0], z[0], z[1])
+            inputs_now[0], z[0], z[1] = pid_step(
+                law, references[k, 0], last[0], z[0], z[1]
+            )
         elif kind != GIVEN:
             law_step(law, z, references, k, last, inputs_now, after)
             copy_into(after, z)
@@ -217,22 +221,31 @@ def run(
 
 
 @compiled(innermost=True)
-def _output_tangents(
-    shown: FloatArray, which: NDArray[np.int64], columns: FloatArray, dy: FloatArray, n: int, unknown: int
+def _output_tangents(  # noqa: PLR0917
+    shown: FloatArray,
+    which: NDArray[np.int64],
+    columns: FloatArray,
+    dy: FloatArray,
+    n: int,
+    unknown: int,
 ) -> None:
     """Derivatives of the outputs by n unknowns, from those of the states and, in `shown`, of the outputs."""
     outputs = dy.shape[0]
     nx = columns.shape[0]
     for o in range(outputs):
         for j in range(n):
-            slope = shown[outputs * nx + o * unknown + which[j]] if j < which.size else 0.0
+            slope = (
+                shown[outputs * nx + o * unknown + which[j]] if j < which.size else 0.0
+            )
             for i in range(nx):
                 slope += shown[o * nx + i] * columns[i, j]
             dy[o, j] = slope
 
 
 @compiled(innermost=True)
-def _pid_tangents(law: LawCode, u: float, dy: FloatArray, dz: FloatArray, du: FloatArray, n: int) -> None:
+def _pid_tangents(  # noqa: PLR0917
+    law: LawCode, u: float, dy: FloatArray, dz: FloatArray, du: FloatArray, n: int
+) -> None:
     """Derivatives of the PID's command u and of its next state, in place."""
     by_change = law[DERIVATIVE] / law[PERIOD]
     by_reading = law[PROPORTIONAL] + by_change
@@ -240,12 +253,14 @@ def _pid_tangents(law: LawCode, u: float, dy: FloatArray, dz: FloatArray, du: Fl
     for j in range(n):
         unlimited = dz[0, j] - by_reading * dy[0, j] - by_change * dz[1, j]
         du[0, j] = free * unlimited
-        dz[0, j] += law[PERIOD] * (law[BACK] * (du[0, j] - unlimited) - law[INTEGRAL] * dy[0, j])
+        dz[0, j] += law[PERIOD] * (
+            law[BACK] * (du[0, j] - unlimited) - law[INTEGRAL] * dy[0, j]
+        )
         dz[1, j] = -dy[0, j]
 
 
 @compiled(innermost=True)
-def _store(
+def _store(  # noqa: PLR0917
     stored: Tangents,
     k: int,
     y: FloatArray,
@@ -281,7 +296,7 @@ def _store(
 
 
 @compiled
-def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
+def run_with_tangents(  # noqa: PLR0912, PLR0915
     code: Code, start: Start, data: RunData, stored: bool, limit: float
 ) -> tuple[Tangents, FloatArray]:
     """The run with its derivatives; either its arrays are stored, or the normal equations are summed.
@@ -293,7 +308,17 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
     # One function for its length: states, loop and sums of a sample share arrays, and a call between them
     # would be compiled into each of its callers again.
     vector, law, x, columns, steps = start
-    unknown_places, tuned, memory, references, disturbances, measured, weights, robust, period = data
+    (
+        unknown_places,
+        tuned,
+        memory,
+        references,
+        disturbances,
+        measured,
+        weights,
+        robust,
+        period,
+    ) = data
     size = disturbances.shape[0]
     nx, n = columns.shape
     q = memory.size
@@ -378,7 +403,9 @@ def run_with_tangents(  # noqa: PLR0915 (one pass over the samples)
                 add_row(normal, of_inputs, i, weights[outputs + i, k], robust)
             if normal[n, n] > limit:
                 break
-        tick_with_tangents(code, states_now, u, d, work, period, steps, unknown_places, all_columns, du)
+        tick_with_tangents(
+            code, states_now, u, d, work, period, steps, unknown_places, all_columns, du
+        )
         if stored:
             for i in range(nx):
                 for j in range(nx):
@@ -404,7 +431,9 @@ def start_at(code: Code, problem: LeastSquares, values: FloatArray) -> Start:
     for j in range(tuned):
         law[data.tuned[j]] = values[n + j]
     disturbances = data.disturbances[0]
-    x, _, by_parameters = begin(code, p, problem.first, problem.inputs_before, disturbances)
+    x, _, by_parameters = begin(
+        code, p, problem.first, problem.inputs_before, disturbances
+    )
     columns = np.zeros((x.size, values.size))
     for i in range(x.size):
         for j in range(n):

@@ -14,12 +14,16 @@ from twinmatch.signals import FloatArray
 
 
 @compiled
-def reading(seen: float, noise: float, frozen: bool, resolution: float, last: float) -> float:
+def reading(
+    seen: float, noise: float, frozen: bool, resolution: float, last: float
+) -> float:
     """The reading of a value: noisy and quantised; the last reading while the sensor is frozen."""
     if frozen:
         return last
     value = seen + noise
-    return math.floor(value / resolution + 0.5) * resolution if resolution > 0.0 else value
+    return (
+        math.floor(value / resolution + 0.5) * resolution if resolution > 0.0 else value
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +49,11 @@ class SensorRealisation:
                 f"sensor realisation: noise has shape {self.noise.shape} and frozen {self.frozen.shape}; "
                 "give one value per sample in both"
             )
-        if not (np.isfinite(self.noise).all() and math.isfinite(self.resolution) and self.resolution >= 0):
+        if not (
+            np.isfinite(self.noise).all()
+            and math.isfinite(self.resolution)
+            and self.resolution >= 0
+        ):
             msg = "sensor realisation: noise and resolution must be finite, the resolution not negative"
             raise PlantError(msg)
         self.noise.flags.writeable = False
@@ -63,9 +71,17 @@ class SensorRealisation:
             PlantError: the realisation has no such index.
         """
         if not 0 <= index < len(self):
-            raise PlantError(f"sensor realisation: reading {index} of {len(self)}; realise more samples")
+            raise PlantError(
+                f"sensor realisation: reading {index} of {len(self)}; realise more samples"
+            )
         frozen = bool(self.frozen[index]) and last is not None
-        return reading(float(seen), float(self.noise[index]), frozen, float(self.resolution), last or 0.0)
+        return reading(
+            float(seen),
+            float(self.noise[index]),
+            frozen,
+            float(self.resolution),
+            last or 0.0,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +105,13 @@ class Sensor:
         for name in ("noise", "resolution", "pause_duration"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
-                raise PlantError(f"sensor: {name} is {value}; it must be finite and not negative")
+                raise PlantError(
+                    f"sensor: {name} is {value}; it must be finite and not negative"
+                )
         period = self.pause_period
-        if period is not None and not (math.isfinite(period) and period > self.pause_duration):
+        if period is not None and not (
+            math.isfinite(period) and period > self.pause_duration
+        ):
             raise PlantError(
                 f"sensor: a pause every {period} s leaves no time between pauses of "
                 f"{self.pause_duration} s; make the period longer or None"
@@ -113,5 +133,7 @@ class Sensor:
         frozen = np.zeros(samples, dtype=np.bool_)
         if self.pause_period is not None:
             since = np.arange(samples) * period - random.uniform(0, self.pause_period)
-            frozen = (since >= 0) & (np.mod(since, self.pause_period) < self.pause_duration)
+            frozen = (since >= 0) & (
+                np.mod(since, self.pause_period) < self.pause_duration
+            )
         return SensorRealisation(noise, frozen, self.resolution)

@@ -37,7 +37,9 @@ LoopLaw = Law | FromPlantFile | None
 """A controller; `FROM_PLANT_FILE`; or None if the loop is not known: the recorded input drives the twin."""
 
 
-def law_for(plant: type[Plant], period: float, law: LoopLaw = FROM_PLANT_FILE) -> Law | None:
+def law_for(
+    plant: type[Plant], period: float, law: LoopLaw = FROM_PLANT_FILE
+) -> Law | None:
     """The controller of a closed-loop twin at a sample time, s; None for a driven twin.
 
     Raises:
@@ -59,11 +61,15 @@ def law_of(plant: type[Plant], period: float) -> Law:
     """
     law = law_for(plant, period)
     if law is None:
-        raise PlantError(f"plant {plant.name}: its controller is not known; use the driven twin")
+        raise PlantError(
+            f"plant {plant.name}: its controller is not known; use the driven twin"
+        )
     return law
 
 
-def law_code(law: Law | None, state: ArrayLike | None = None) -> tuple[LawCode, FloatArray]:
+def law_code(
+    law: Law | None, state: ArrayLike | None = None
+) -> tuple[LawCode, FloatArray]:
     """The law for compiled code (without a loop: the references are the commands), and its state, by default
     zero."""
     if law is None:
@@ -102,7 +108,9 @@ def pid_of(plant: type[Plant]) -> PidGains:
     """
     law = law_of(plant, 1.0)
     if not isinstance(law, PidGains):
-        raise PlantError(f"plant {plant.name}: its controller is a {type(law).__name__}; this needs a PID")
+        raise PlantError(
+            f"plant {plant.name}: its controller is a {type(law).__name__}; this needs a PID"
+        )
     return law
 
 
@@ -121,7 +129,9 @@ class Response:
 
     def alone(self, k: int) -> Response:
         """Its k-th output and input; of fewer the last."""
-        return replace(self, outputs=column_of(self.outputs, k), inputs=column_of(self.inputs, k))
+        return replace(
+            self, outputs=column_of(self.outputs, k), inputs=column_of(self.inputs, k)
+        )
 
     @property
     def output(self) -> FloatArray:
@@ -155,7 +165,9 @@ def begin(
     states, _, _ = model.kernels.begin(parameters.vector, y, before, row)
     for name, value in (starts or {}).items():
         if name not in model.states:
-            raise PlantError(f"{model.title}: no state {name!r}; it has {', '.join(model.states)}")
+            raise PlantError(
+                f"{model.title}: no state {name!r}; it has {', '.join(model.states)}"
+            )
         states[model.states.index(name)] = value
     if not finite(states):
         raise PlantError(
@@ -196,7 +208,9 @@ def advance(
     model = parameters.model
     u = model.row_of("inputs", input)
     row = model.disturbance_row(disturbances)
-    after = model.kernels.advance(parameters.vector, states, u, row, float(period), parameters.steps(period))
+    after = model.kernels.advance(
+        parameters.vector, states, u, row, float(period), parameters.steps(period)
+    )
     return np.asarray(after, dtype=np.float64)
 
 
@@ -219,7 +233,9 @@ def advance_side_by_side(
     row = model.disturbance_row(disturbances)
     vectors = np.array([plant.vector for plant in plants])
     steps = max(plant.steps(period) for plant in plants)
-    after, outputs = model.kernels.advance_side_by_side(vectors, states, u, row, float(period), steps)
+    after, outputs = model.kernels.advance_side_by_side(
+        vectors, states, u, row, float(period), steps
+    )
     return after, outputs
 
 
@@ -249,12 +265,17 @@ def readings(
 
 
 def quantities(
-    parameters: Parameters, states: FloatArray, input: ArrayLike, disturbances: FloatArray | None = None
+    parameters: Parameters,
+    states: FloatArray,
+    input: ArrayLike,
+    disturbances: FloatArray | None = None,
 ) -> dict[str, float]:
     """The plant's other quantities (currents, heat flows) at some states and input, by name."""
     model = parameters.model
     row = model.disturbance_row(disturbances)
-    values = model.kernels.outputs_at(parameters.vector, states, model.row_of("inputs", input), row)[1]
+    values = model.kernels.outputs_at(
+        parameters.vector, states, model.row_of("inputs", input), row
+    )[1]
     return dict(zip(model.kernels.QUANTITIES, values.tolist(), strict=True))
 
 
@@ -277,7 +298,17 @@ def simulate_closed_loop(
         PlantError: a signal is invalid, or the plant is too fast for the period.
     """
     law = law or law_of(parameters.model.plant, 1.0)
-    return _run(parameters, "reference", reference, states, law, controller, disturbances, sensor, law.period)
+    return _run(
+        parameters,
+        "reference",
+        reference,
+        states,
+        law,
+        controller,
+        disturbances,
+        sensor,
+        law.period,
+    )
 
 
 def simulate_driven(
@@ -294,7 +325,9 @@ def simulate_driven(
     Raises:
         PlantError: as `simulate_closed_loop`.
     """
-    return _run(parameters, "input", input, states, None, None, disturbances, sensor, period)
+    return _run(
+        parameters, "input", input, states, None, None, disturbances, sensor, period
+    )
 
 
 def simulate_window(
@@ -320,7 +353,11 @@ def simulate_window(
         raise PlantError(msg)
     loop = law_for(parameters.model.plant, window.period, law)
     states = begin_window(parameters, window, starts)
-    realisation = None if sensor is None else sensor.realise(len(window) - SKIPPED, window.period, seed)
+    realisation = (
+        None
+        if sensor is None
+        else sensor.realise(len(window) - SKIPPED, window.period, seed)
+    )
     name = "input"
     signal = window.inputs
     state = None
@@ -331,10 +368,20 @@ def simulate_window(
         state = loop.state(window)
         period = loop.period
     disturbances = window.disturbances[SKIPPED:]
-    return _run(parameters, name, signal[SKIPPED:], states, loop, state, disturbances, realisation, period)
+    return _run(
+        parameters,
+        name,
+        signal[SKIPPED:],
+        states,
+        loop,
+        state,
+        disturbances,
+        realisation,
+        period,
+    )
 
 
-def _run(  # noqa: PLR0917 (what a run needs)
+def _run(  # noqa: PLR0917
     parameters: Parameters,
     name: str,
     signal: ArrayLike,
@@ -378,7 +425,9 @@ def _run(  # noqa: PLR0917 (what a run needs)
     return Response(outputs, inputs, state_rows, steps)
 
 
-def signal_rows(title: str, name: str, values: ArrayLike | None, columns: int) -> FloatArray:
+def signal_rows(
+    title: str, name: str, values: ArrayLike | None, columns: int
+) -> FloatArray:
     """A signal as rows of a sample each, shape (N, columns); of one column also given as shape (N,).
 
     Raises:
@@ -388,9 +437,13 @@ def signal_rows(title: str, name: str, values: ArrayLike | None, columns: int) -
     rows = array[:, None] if array.ndim == 1 and columns == 1 else array
     if rows.ndim != 2 or rows.shape[1] != columns:
         per_sample = "one value" if columns == 1 else f"{columns} values"
-        raise PlantError(f"{title}: {name} has shape {array.shape}; give {per_sample} per sample")
+        raise PlantError(
+            f"{title}: {name} has shape {array.shape}; give {per_sample} per sample"
+        )
     if not finite(rows):
         bad = int(np.argmin(np.isfinite(rows).all(axis=1)))
         shown = rows[bad, 0] if columns == 1 else rows[bad]
-        raise PlantError(f"{title}: {name} is {shown} at sample {bad}; only finite values can be used")
+        raise PlantError(
+            f"{title}: {name} is {shown} at sample {bad}; only finite values can be used"
+        )
     return np.ascontiguousarray(rows)

@@ -78,10 +78,17 @@ class Kernels:
         self._owner, addresses = linked(machine_code)
         self.EQUATIONS = equations
         self.STATES, self.PARAMETERS, self.UNKNOWN, self.QUANTITIES = (
-            tuple(names[kind]) for kind in ("states", "parameters", "unknown", "quantities")
+            tuple(names[kind])
+            for kind in ("states", "parameters", "unknown", "quantities")
         )
-        numbers = {**addresses, **sizes, **{f"n_{kind}": len(listed) for kind, listed in names.items()}}
-        self.code = np.array([numbers[name] for name in (*FUNCTIONS, *kernels.SIZES)], dtype=np.int64)
+        numbers = {
+            **addresses,
+            **sizes,
+            **{f"n_{kind}": len(listed) for kind, listed in names.items()},
+        }
+        self.code = np.array(
+            [numbers[name] for name in (*FUNCTIONS, *kernels.SIZES)], dtype=np.int64
+        )
         for kernel in KERNELS:
             setattr(self, kernel.__name__, functools.partial(kernel, self.code))
 
@@ -103,7 +110,9 @@ def cache_folder() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "twinmatch"
 
 
-def kernels_of(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> Kernels:
+def kernels_of(
+    plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]
+) -> Kernels:
     """The kernels of a plant with some of its parts, with tangents for the parameters `unknown`.
 
     Its equations are compiled if they are not there yet.
@@ -113,7 +122,9 @@ def kernels_of(plant: type[PlantDefinition], parts: frozenset[str], unknown: fro
     """
     key = (plant, parts, unknown)
     if key not in _LOADED:
-        path = cache_folder() / f"{plant.name}_{_fingerprint(plant, parts, unknown)}.code"
+        path = (
+            cache_folder() / f"{plant.name}_{_fingerprint(plant, parts, unknown)}.code"
+        )
         content = _whole(path)
         if content is None:
             content = _compile_plant(plant, parts, unknown)
@@ -123,7 +134,9 @@ def kernels_of(plant: type[PlantDefinition], parts: frozenset[str], unknown: fro
     return _LOADED[key]
 
 
-_LOADED: dict[tuple[type[PlantDefinition], frozenset[str], frozenset[str]], Kernels] = {}
+_LOADED: dict[
+    tuple[type[PlantDefinition], frozenset[str], frozenset[str]], Kernels
+] = {}
 
 
 def _whole(path: Path) -> bytes | None:
@@ -132,10 +145,14 @@ def _whole(path: Path) -> bytes | None:
         content = path.read_bytes()
     except OSError:
         return None
-    return content[32:] if hashlib.sha256(content[32:]).digest() == content[:32] else None
+    return (
+        content[32:] if hashlib.sha256(content[32:]).digest() == content[:32] else None
+    )
 
 
-def _compile_plant(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> bytes:
+def _compile_plant(
+    plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]
+) -> bytes:
     """A line with all names and sizes, and the machine code."""
     for tell in told:
         tell(f"the equations of {plant.name}")
@@ -147,7 +164,10 @@ def _compile_plant(plant: type[PlantDefinition], parts: frozenset[str], unknown:
         "unknown": derived.unknown,
         "quantities": derived.quantities,
     }
-    names = {kind: [str(symbol) for symbol in symbols] for kind, symbols in symbols_by_kind.items()}
+    names = {
+        kind: [str(symbol) for symbol in symbols]
+        for kind, symbols in symbols_by_kind.items()
+    }
     sizes = {
         "n_inputs": formulas.n_inputs,
         "n_outputs": formulas.n_outputs,
@@ -162,7 +182,9 @@ def digest_of(derived: Derived) -> str:
     """A hash of the equations as formulas: unlike `source_hash`, it ignores comments, bounds and defaults."""
     formulas = ("conditions", "rates", "outputs", "start")
     signals = ("states", "inputs", "disturbances", "measured")
-    written = {name: list(map(str, getattr(derived, name))) for name in (*signals, *formulas)}
+    written = {
+        name: list(map(str, getattr(derived, name))) for name in (*signals, *formulas)
+    }
     return hashlib.sha256(json.dumps(written).encode()).hexdigest()[:16]
 
 
@@ -186,8 +208,16 @@ def _write_atomically(path: Path, content: bytes) -> None:
         ) from error
 
 
-def _fingerprint(plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]) -> str:
-    identity = (sys.version_info[:2], host(), plant.__qualname__, sorted(parts), sorted(unknown))
+def _fingerprint(
+    plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]
+) -> str:
+    identity = (
+        sys.version_info[:2],
+        host(),
+        plant.__qualname__,
+        sorted(parts),
+        sorted(unknown),
+    )
     digest = hashlib.sha256(repr(identity).encode())
     for file in (_HERE / name for name in _COMPILER):
         digest.update(file.read_bytes())
@@ -208,7 +238,9 @@ def source_hash(plant: type[PlantDefinition]) -> str:
 
 def _sources(plant: type[PlantDefinition]) -> set[Path]:
     """The files of the class and its bases, and the files beside them that their modules import from."""
-    waiting = [sys.modules.get(base.__module__) for base in plant.__mro__ if base is not object]
+    waiting = [
+        sys.modules.get(base.__module__) for base in plant.__mro__ if base is not object
+    ]
     sources: set[Path] = set()
     while waiting:
         module = waiting.pop()

@@ -126,7 +126,8 @@ class Kinks:
 
         if condition in self.conditions:
             return self.switches[self.conditions.index(condition)]
-        switch = sympy.Symbol(f"switch {len(self.switches)}", real=True)  # not the name of a quantity
+        # not the name of a quantity
+        switch = sympy.Symbol(f"switch {len(self.switches)}", real=True)
         self.switches.append(switch)
         self.conditions.append(condition)
         return switch
@@ -137,15 +138,21 @@ class Roots:
 
     def __init__(self, plant: PlantDefinition) -> None:
         kind = type(plant)  # an instance gives symbols, its class the declarations
-        ranges: dict[str, tuple[float, ...]] = {name: state.span for name, state in kind.states.items()}
+        ranges: dict[str, tuple[float, ...]] = {
+            name: state.span for name, state in kind.states.items()
+        }
         ranges |= {name: drive.limits for name, drive in kind.drives.items()}
         ranges |= {name: output.span for name, output in kind.outputs.items()}
-        ranges |= {name: (disturbance.default,) for name, disturbance in kind.disturbances.items()}
+        ranges |= {
+            name: (disturbance.default,)
+            for name, disturbance in kind.disturbances.items()
+        }
         self._ranges: Mapping[Expression, tuple[float, ...]] = {
             getattr(plant, name): ends for name, ends in ranges.items()
         }
         self._defaults = {
-            getattr(plant, name): parameter.default for name, parameter in kind.parameters.items()
+            getattr(plant, name): parameter.default
+            for name, parameter in kind.parameters.items()
         }
 
     def smooth(self, expression: Expression) -> Expression:
@@ -157,7 +164,11 @@ class Roots:
         args = [self.smooth(a) for a in expression.args]
         if isinstance(expression, sympy.Pow):
             base, power = args
-            if power.is_number and 0 < power < 1 and base.free_symbols & self._ranges.keys():
+            if (
+                power.is_number
+                and 0 < power < 1
+                and base.free_symbols & self._ranges.keys()
+            ):
                 values = self._values(base)
                 if min(values) <= 0.0:
                     near = sympy.Float(_SHARE * (max(map(abs, values)) or 1.0))
@@ -174,13 +185,16 @@ class Roots:
 
         varying = sorted(base.free_symbols & self._ranges.keys(), key=str)
         value = sympy.lambdify([*varying, *self._defaults], base, modules="math")
-        corners = itertools.islice(itertools.product(*(self._ranges[s] for s in varying)), _MAX_CORNERS)
+        corners = itertools.islice(
+            itertools.product(*(self._ranges[s] for s in varying)), _MAX_CORNERS
+        )
         values = []
         for corner in corners:
             try:
                 values.append(float(value(*corner, *self._defaults.values())))
             except (ArithmeticError, TypeError, ValueError):
-                continue  # such a corner lies outside the range in which the equations hold
+                # such a corner lies outside the range in which the equations hold
+                continue
         return [v for v in values if math.isfinite(v)] or [0.0]
 
 
@@ -202,7 +216,9 @@ class DelayLine:
         """Take the symbols of its states."""
         self._states = states
 
-    def after(self, signal: Expression, dead_time: Expression, start: Expression = None) -> Delayed:
+    def after(
+        self, signal: Expression, dead_time: Expression, start: Expression = None
+    ) -> Delayed:
         """Delay a signal.
 
         Args:
@@ -211,7 +227,7 @@ class DelayLine:
             start: value of the signal until the start; needed if the signal depends on states. Default: the
                 signal.
         """
-        import sympy  # noqa: PLC0415 (slow; needed only to derive equations)
+        import sympy  # noqa: PLC0415
 
         n = len(self._states)
         root = [sympy.sqrt(2 * i + 1) for i in range(n)]
@@ -219,14 +235,21 @@ class DelayLine:
             state: root[i]
             * (
                 (-1) ** i * signal
-                - sum((1 if i < j else (-1) ** (i - j)) * root[j] * self._states[j] for j in range(n))
+                - sum(
+                    (1 if i < j else (-1) ** (i - j)) * root[j] * self._states[j]
+                    for j in range(n)
+                )
             )
             / dead_time
             for i, state in enumerate(self._states)
         }
         value = sum(root[i] * state for i, state in enumerate(self._states))
         first, *later = self._states
-        return Delayed(value, rates, {first: signal if start is None else start, **dict.fromkeys(later, 0)})
+        return Delayed(
+            value,
+            rates,
+            {first: signal if start is None else start, **dict.fromkeys(later, 0)},
+        )
 
 
 class DeadTime:
@@ -236,7 +259,14 @@ class DeadTime:
         PlantError: an invalid span or order.
     """
 
-    def __init__(self, *, span: tuple[float, float], unit: str = "", text: str = "", order: int = 4) -> None:
+    def __init__(
+        self,
+        *,
+        span: tuple[float, float],
+        unit: str = "",
+        text: str = "",
+        order: int = 4,
+    ) -> None:
         """Declare it.
 
         Args:
@@ -263,13 +293,13 @@ class DeadTime:
         for i in range(self.order):
             state_name = f"{name}_{i}"
             if state_name in vars(owner):
-                msg = (
-                    f"plant {owner.__name__}: {state_name!r} is a state of the dead time {name!r}; rename it"
-                )
+                msg = f"plant {owner.__name__}: {state_name!r} is a state of the dead time {name!r}; rename it"
                 raise PlantError(msg)
             state = State(
                 unit=self.unit,
-                span=(low - wide, high + wide) if i == 0 else (low - high - wide, high - low + wide),
+                span=(low - wide, high + wide)
+                if i == 0
+                else (low - high - wide, high - low + wide),
                 scale=0.1 * (high - low),
                 text=f"{self.text or name}: {'mean' if i == 0 else f'shape {i}'} over the dead time",
             )
@@ -283,4 +313,6 @@ class DeadTime:
     def __get__(self, plant: object | None, owner: type) -> DeadTime | DelayLine:
         if plant is None:
             return self
-        return DelayLine(tuple(getattr(plant, f"{self.name}_{i}") for i in range(self.order)))
+        return DelayLine(
+            tuple(getattr(plant, f"{self.name}_{i}") for i in range(self.order))
+        )

@@ -112,11 +112,17 @@ class Assumed:
         noise = model.noise
         tracked = _tracked_parameters(parameters)
         scales = np.array(
-            [1.0 if log else declared[k].scale for k, log in zip(free, tracked.logged, strict=True)]
+            [
+                1.0 if log else declared[k].scale
+                for k, log in zip(free, tracked.logged, strict=True)
+            ]
         )
         state_scales = np.array([state.scale for state in model.declared_states])
         slopes = model.kernels.slopes_at(
-            parameters.vector, begin(parameters, np.zeros(noise.size)), model.rest, model.disturbances
+            parameters.vector,
+            begin(parameters, np.zeros(noise.size)),
+            model.rest,
+            model.disturbances,
         )[4]
         with np.errstate(divide="ignore"):
             by_noise = np.min(noise[:, np.newaxis] / np.abs(slopes), axis=0)
@@ -125,7 +131,9 @@ class Assumed:
         scale = slow_scale(model.plant, period)
         push_time = _PUSH_TIME * scale
         fading = _MODEL_ERROR[3] * noise / period
-        drift = np.where(shown, _MODEL_ERROR[0] * by_noise, _MODEL_ERROR[1] * state_scales)
+        drift = np.where(
+            shown, _MODEL_ERROR[0] * by_noise, _MODEL_ERROR[1] * state_scales
+        )
         return cls(
             free=tracked,
             shown=shown,
@@ -136,11 +144,16 @@ class Assumed:
                 ]
             ),
             # A plant sampled faster is assumed to be faster.
-            drift=np.concatenate([drift / math.sqrt(period), _MODEL_ERROR[2] * scales / math.sqrt(scale)]),
+            drift=np.concatenate(
+                [drift / math.sqrt(period), _MODEL_ERROR[2] * scales / math.sqrt(scale)]
+            ),
             fading=fading,
             stray=fading * math.sqrt(2.0 / push_time),
             swift=float(_MODEL_ERROR[4]),
-            keeps=(math.exp(-period / push_time), math.exp(-period / (_OFFSET_TIME * scale))),
+            keeps=(
+                math.exp(-period / push_time),
+                math.exp(-period / (_OFFSET_TIME * scale)),
+            ),
         )
 
 
@@ -151,7 +164,11 @@ def _tracked_parameters(parameters: Parameters) -> TrackedParameters:
     kernels = parameters.model.kernels
     values = np.array([parameters[name] for name in free])
     logged = np.array(
-        [declared[k].relative and parameters[k] > 0 and math.isinf(declared[k].most) for k in free], bool
+        [
+            declared[k].relative and parameters[k] > 0 and math.isinf(declared[k].most)
+            for k in free
+        ],
+        bool,
     )
     bounds = np.array([declared[name].bounds for name in free]).reshape(-1, 2)
     floor = np.maximum(bounds[:, 0], 0.01 * values)
@@ -159,7 +176,9 @@ def _tracked_parameters(parameters: Parameters) -> TrackedParameters:
     width = bounds[:, 1] - bounds[:, 0]
     with np.errstate(invalid="ignore", divide="ignore"):
         least = np.where(logged, np.log(floor / values), bounds[:, 0] - width - values)
-        most = np.where(logged, np.log(bounds[:, 1] / values), bounds[:, 1] + width - values)
+        most = np.where(
+            logged, np.log(bounds[:, 1] / values), bounds[:, 1] + width - values
+        )
     return TrackedParameters(
         vector=parameters.vector.copy(),
         places=np.array([kernels.PARAMETERS.index(k) for k in free], dtype=np.int64),
@@ -173,7 +192,9 @@ def _tracked_parameters(parameters: Parameters) -> TrackedParameters:
 class Tracker:
     """Tracks one plant at several levels of assumed model error."""
 
-    def __init__(self, parameters: Parameters, period: float, levels: tuple[float, ...]) -> None:
+    def __init__(
+        self, parameters: Parameters, period: float, levels: tuple[float, ...]
+    ) -> None:
         """Begin with these parameters; `levels` are factors on the model error of a real rig."""
         model = parameters.model
         free = model.structure.free
@@ -202,24 +223,31 @@ class Tracker:
             keeps=keeps,
             rest=float(model.plant.drive.rest),
             period=float(period),
-            steps=2 * parameters.steps(period),  # parameters move, and a fast plant may become faster
+            # parameters move, and a fast plant may become faster
+            steps=2 * parameters.steps(period),
         )
         self.track = functools.partial(model.kernels.track, self._fixed)
         self.drifts = [Drift(level * drift, level * assumed.swift) for level in levels]
         self.none = no_traces(self.size)
         self._levels = levels
 
-    def begin(self, output: float, input: float, disturbances: FloatArray, level: int) -> Belief:
+    def begin(
+        self, output: float, input: float, disturbances: FloatArray, level: int
+    ) -> Belief:
         """The belief at the first reading, after a given input."""
         values = np.zeros(self.size)
         n = len(self.parameters.model.states)
-        values[:n] = begin(self.parameters, output, input=input, disturbances=disturbances)
+        values[:n] = begin(
+            self.parameters, output, input=input, disturbances=disturbances
+        )
         spread = np.zeros(self.size)
         spread[: self._first.size] = self._first
         spread[self.fading] = self._levels[level] * self._fading
         return Belief(values, np.diag(spread**2))
 
-    def again(self, belief: Belief, output: float, input: float, disturbances: FloatArray) -> Belief:
+    def again(
+        self, belief: Belief, output: float, input: float, disturbances: FloatArray
+    ) -> Belief:
         """The belief after a gap: parameters are kept, states restart from a reading."""
         n = len(self.parameters.model.states)
         start = self.begin(output, input, disturbances, 0)
@@ -242,12 +270,19 @@ class Tracker:
         covariance[passes, :] = 0.0
         covariance[:, passes] = 0.0
         both = np.ix_(passes, passes)
-        first_deviations = np.append(self._first[: len(passes) - 2], [0.0, self._fading])
+        first_deviations = np.append(
+            self._first[: len(passes) - 2], [0.0, self._fading]
+        )
         covariance[both] = belief.covariance[both] + np.diag(first_deviations**2)
         return Belief(values, covariance)
 
     def run(
-        self, belief: Belief, readings: Readings, level: int, *, traces: Traces | None = None
+        self,
+        belief: Belief,
+        readings: Readings,
+        level: int,
+        *,
+        traces: Traces | None = None,
     ) -> tuple[Belief, float]:
         """The belief after some samples, and the code length of their readings, in nats.
 
@@ -268,7 +303,9 @@ class Tracker:
         start = self.parameters[name]
         return start * math.exp(q) if self.logged[self.free.index(name)] else start + q
 
-    def expected(self, belief: Belief, disturbances: FloatArray, given: FloatArray) -> tuple[float, float]:
+    def expected(
+        self, belief: Belief, disturbances: FloatArray, given: FloatArray
+    ) -> tuple[float, float]:
         """The reading that is expected next, under inputs given, and its variance without noise, in the
         output's unit."""
         model = self.parameters.model
@@ -281,7 +318,9 @@ class Tracker:
         driven = given - model.rest
         u = model.rest + driven * (1.0 + belief.values[self.share])
         output = model.kernels.outputs_at(vector, x, u, disturbances)[0][0]
-        _, _, _, _, by_states, by_unknown, by_inputs = model.kernels.slopes_at(vector, x, u, disturbances)
+        _, _, _, _, by_states, by_unknown, by_inputs = model.kernels.slopes_at(
+            vector, x, u, disturbances
+        )
         slope = np.zeros(self.size)
         slope[:n] = by_states[0]
         slope[[self.offset, self.passing]] = 1.0
@@ -318,12 +357,16 @@ class TrackedCourse:
         self._tracker = tracker
         self._begin = belief
         self._level = level
-        self._opening = Opening(np.zeros(tracker.size) if opened is None else opened, lasting, rising)
+        self._opening = Opening(
+            np.zeros(tracker.size) if opened is None else opened, lasting, rising
+        )
         self._belief = belief
         self._cost = 0.0
         self._done = 0
 
-    def to(self, readings: Readings, traces: Traces | None = None) -> tuple[Belief, float]:
+    def to(
+        self, readings: Readings, traces: Traces | None = None
+    ) -> tuple[Belief, float]:
         """The belief after all readings since the beginning, and their code length; see `Tracker.run`."""
         size = readings.input.size
         opening = self._opening._replace(lasting=self._opening.lasting - self._done)
@@ -344,5 +387,7 @@ class TrackedCourse:
             return self._belief, self._cost
         output = readings.output[np.isfinite(readings.output)][-1]
         row = readings.disturbances[-1]
-        restarted = self._tracker.again(self._begin, float(output), float(readings.input[-1]), row)
+        restarted = self._tracker.again(
+            self._begin, float(output), float(readings.input[-1]), row
+        )
         return restarted, _IMPOSSIBLE * size

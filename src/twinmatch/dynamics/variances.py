@@ -1,7 +1,5 @@
 """Uncertainty around the loop: variances of a forecast, and the effect of the sensors' noise on a fit."""
 
-# ruff: noqa: PLR0912, PLR0917 (kernels are long and take arrays in a row)
-
 from __future__ import annotations
 
 import numpy as np
@@ -20,7 +18,7 @@ BANDED = 2
 
 
 @compiled
-def foresee_each(
+def foresee_each(  # noqa: PLR0917
     codes: NDArray[np.int64],
     sizes: NDArray[np.int64],
     vectors: FloatArray,
@@ -81,7 +79,7 @@ def foresee_each(
 
 
 @compiled(inside=True)
-def foresee(
+def foresee(  # noqa: PLR0917
     code: Code,
     vector: FloatArray,
     which: NDArray[np.int64],
@@ -113,7 +111,18 @@ def foresee(
     # The mean is simulated without derivatives, like every simulation: derivatives share subexpressions with
     # the rates, which then round differently.
     outputs, inputs, states = run(
-        code, vector, begun, law, memory, references, d, still, never, 0.0, period, steps
+        code,
+        vector,
+        begun,
+        law,
+        memory,
+        references,
+        d,
+        still,
+        never,
+        0.0,
+        period,
+        steps,
     )
     if not banded:
         return outputs, inputs, np.zeros((0, noise.size)), np.zeros((0, m))
@@ -125,7 +134,15 @@ def foresee(
             strays[j + 1, i] += (swift * (states[j + 1, i] - states[j, i])) ** 2
     predict(code, vector, x, joint, strays[0], u, disturbances[0], period, steps, which)
     data = RunData(
-        which[0], np.zeros(0, dtype=np.int64), memory, references, d, compared, compared, False, period
+        which[0],
+        np.zeros(0, dtype=np.int64),
+        memory,
+        references,
+        d,
+        compared,
+        compared,
+        False,
+        period,
     )
     start = Start(vector, law, begun, np.eye(n, k + n, k), steps)
     loop, _ = run_with_tangents(code, start, data, True, np.inf)
@@ -134,7 +151,7 @@ def foresee(
 
 
 @compiled
-def _variances(
+def _variances(  # noqa: PLR0912
     joint: FloatArray, loop: Tangents, noise: FloatArray, strays: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Variances of outputs, shape (N, o), and inputs, shape (N, m).
@@ -166,7 +183,9 @@ def _variances(
         for o in range(outputs):
             for i in range(nx):
                 of_y[i] = output_slopes[k, o, i]
-            of_outputs[k, o] = max(noise[o] + _form(first, by_unknown[o, k]) + _form(later, of_y), 0.0)
+            of_outputs[k, o] = max(
+                noise[o] + _form(first, by_unknown[o, k]) + _form(later, of_y), 0.0
+            )
         for i in range(inputs):
             total = _form(first, by_unknown[outputs + i, k]) + _form(later, of_u[i])
             for o in range(outputs):
@@ -203,8 +222,12 @@ def _form(of: FloatArray, b: FloatArray) -> float:
 
 
 @compiled
-def noise_effects(
-    loop: Tangents, started: FloatArray, weighed: FloatArray, weights: FloatArray, closed: bool
+def noise_effects(  # noqa: PLR0912
+    loop: Tangents,
+    started: FloatArray,
+    weighed: FloatArray,
+    weights: FloatArray,
+    closed: bool,
 ) -> tuple[FloatArray, float]:
     """Backwards through the linearised loop, whose state holds those of the plant and the law.
 
@@ -245,7 +268,11 @@ def noise_effects(
             for p in range(n):
                 score = out_y * weighed[reading, k, p]
                 for i in range(compared if k > 0 else 0):
-                    score += w[outputs + i] * around[k, i, m - nx + reading] * weighed[outputs + i, k, p]
+                    score += (
+                        w[outputs + i]
+                        * around[k, i, m - nx + reading]
+                        * weighed[outputs + i, k, p]
+                    )
                 for i in range(m):
                     score += b[i] * ahead[i, p]
                 scores[k * outputs + reading, p] = score
@@ -260,12 +287,16 @@ def noise_effects(
                         power[i, j] += w[outputs + q] ** 2 * of_u[q, i] * of_u[q, j]
                     if i < nx and j < nx:
                         for o in range(outputs):
-                            power[i, j] += w[o] ** 2 * output_slopes[k, o, i] * output_slopes[k, o, j]
+                            power[i, j] += (
+                                w[o] ** 2
+                                * output_slopes[k, o, i]
+                                * output_slopes[k, o, j]
+                            )
     return scores, squares / ((outputs + compared) * size)
 
 
 @compiled(inside=True)
-def _earlier(
+def _earlier(  # noqa: PLR0917
     ahead: FloatArray,
     a: FloatArray,
     of_u: FloatArray,
@@ -294,7 +325,7 @@ def _earlier(
 
 
 @compiled(innermost=True)
-def _around_loop(
+def _around_loop(  # noqa: PLR0912, PLR0917
     around: FloatArray,
     seen: FloatArray,
     by_state: FloatArray,

@@ -97,8 +97,12 @@ class EmulatedBoard(ABC):
     """
 
     def __init__(self, port: str | Path | None = None) -> None:
-        self._folder = None if port else tempfile.TemporaryDirectory(prefix="twinmatch-arduino-")
-        self.port = str(port or Path(self._folder.name if self._folder else "") / "ttyACM0")
+        self._folder = (
+            None if port else tempfile.TemporaryDirectory(prefix="twinmatch-arduino-")
+        )
+        self.port = str(
+            port or Path(self._folder.name if self._folder else "") / "ttyACM0"
+        )
 
     def __enter__(self: _Own) -> _Own:
         return self
@@ -179,7 +183,8 @@ class SerialPort:
             ready = line.poll(1000.0 * seconds)
             if not ready or ready[0][1] & select.POLLIN:
                 return
-        time.sleep(seconds)  # without a host the line is hung up, which ends every poll at once
+        # without a host the line is hung up, which ends every poll at once
+        time.sleep(seconds)
 
 
 class ArduinoModel:
@@ -226,7 +231,9 @@ class ArduinoModel:
     def _boot(self, cause: int) -> None:
         self._cause = cause
         self._flags = Flags.TRIPPED | Flags.RESET
-        self.level = self._time_ms = self._remaining = self._settle = self._low = self._hung_ms = 0
+        self.level = self._time_ms = self._remaining = self._settle = self._low = (
+            self._hung_ms
+        ) = 0
         self._heat = True
         self._last: int | None = None
         self._reader = FrameReader()
@@ -279,13 +286,24 @@ class ArduinoModel:
             return self._set(request)
         if request.verb is Verb.HELLO:
             return [self._greet(request)]
-        return [self._clear(request) if request.verb is Verb.CLEAR else self._status(request)]
+        return [
+            self._clear(request)
+            if request.verb is Verb.CLEAR
+            else self._status(request)
+        ]
 
     def _greet(self, request: Request) -> Banner:
         self._disable()
         self._remaining = 0
         self._last = request.sequence
-        return Banner(request.sequence, FIRMWARE, PROTOCOL, self._cause, DEADLINE_MS, self.restarts)
+        return Banner(
+            request.sequence,
+            FIRMWARE,
+            PROTOCOL,
+            self._cause,
+            DEADLINE_MS,
+            self.restarts,
+        )
 
     def _set(self, request: Request) -> list[Reply]:
         if self._flags & Flags.TRIPPED:
@@ -299,7 +317,7 @@ class ArduinoModel:
         return [self._apply(request)]
 
     def _finish_turn(self) -> list[Reply]:
-        assert self._turn is not None  # noqa: S101  (asked by the only caller)
+        assert self._turn is not None  # noqa: S101
         milliseconds, request = self._turn
         if milliseconds > 1:
             self._turn = milliseconds - 1, request
@@ -335,7 +353,13 @@ class ArduinoModel:
         return True
 
     def _status(self, request: Request, extra: Flags = Flags.NONE) -> BoardStatus:
-        return BoardStatus(request.sequence, self._time_ms, self.level, self.counts, self._flags | extra)
+        return BoardStatus(
+            request.sequence,
+            self._time_ms,
+            self.level,
+            self.counts,
+            self._flags | extra,
+        )
 
 
 class StandInArduino(EmulatedBoard):
@@ -349,7 +373,11 @@ class StandInArduino(EmulatedBoard):
         self._away_ms = 0
         self._lock = threading.RLock()
         self.plug()
-        _log.info("%s is a stand-in for the Arduino (%s); no firmware runs behind it", self.port, FIRMWARE)
+        _log.info(
+            "%s is a stand-in for the Arduino (%s); no firmware runs behind it",
+            self.port,
+            FIRMWARE,
+        )
 
     def advance(self, seconds: float) -> PinDrive:
         """Advance by this time, rounded to ms, and return the drive at the end."""
@@ -362,7 +390,9 @@ class StandInArduino(EmulatedBoard):
     def drive(self) -> PinDrive:
         """The drive now."""
         with self._lock:
-            return PinDrive(self._elapsed_ms / 1000, float(self.model.level), self.model.enabled)
+            return PinDrive(
+                self._elapsed_ms / 1000, float(self.model.level), self.model.enabled
+            )
 
     def set_current(self, amperes: float) -> None:
         """Show a current on the driver's feedback pin, A, averaged over the PWM."""

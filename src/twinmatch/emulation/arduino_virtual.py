@@ -18,7 +18,12 @@ import threading
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from twinmatch.emulation.arduino import ArduinoError, EmulatedBoard, PinDrive, StandInArduino
+from twinmatch.emulation.arduino import (
+    ArduinoError,
+    EmulatedBoard,
+    PinDrive,
+    StandInArduino,
+)
 from twinmatch.links.pwm_protocol import PWM_LIMIT
 
 _log = logging.getLogger(__name__)
@@ -53,14 +58,25 @@ def build_virtual_board(project: Path, build: Path) -> VirtualTools:
         if shutil.which(tool) is None:
             raise ArduinoError(f"virtual board: {tool} is missing; install {package}")
     if not SIMAVR_HEADER.exists():
-        raise ArduinoError("virtual board: libsimavr is missing; install libsimavr-dev and libelf-dev")
+        raise ArduinoError(
+            "virtual board: libsimavr is missing; install libsimavr-dev and libelf-dev"
+        )
     for folder in ("firmware", "virtual_board"):
-        command = ["make", "-s", "-C", str(project / folder), f"BUILD={(build / folder).resolve()}"]
+        command = [
+            "make",
+            "-s",
+            "-C",
+            str(project / folder),
+            f"BUILD={(build / folder).resolve()}",
+        ]
         make = subprocess.run(command, capture_output=True, text=True, check=False)
         if make.returncode:
-            raise ArduinoError(f"virtual board: {folder} does not compile:\n{make.stderr[-2000:]}")
+            raise ArduinoError(
+                f"virtual board: {folder} does not compile:\n{make.stderr[-2000:]}"
+            )
     return VirtualTools(
-        build / "virtual_board" / "virtual_board", build / "firmware" / "twinmatch_leonardo.elf"
+        build / "virtual_board" / "virtual_board",
+        build / "firmware" / "twinmatch_leonardo.elf",
     )
 
 
@@ -84,7 +100,7 @@ class VirtualArduino(EmulatedBoard):
     def __init__(self, tools: VirtualTools, port: str | Path | None = None) -> None:
         super().__init__(port)
         self._lock = threading.Lock()
-        self._remarks = tempfile.TemporaryFile()  # noqa: SIM115 (lives as long as the process)
+        self._remarks = tempfile.TemporaryFile()  # noqa: SIM115
         command = [str(tools.program), str(tools.image), self.port]
         try:
             self._process = subprocess.Popen(
@@ -92,7 +108,8 @@ class VirtualArduino(EmulatedBoard):
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._remarks,
-                start_new_session=True,  # Ctrl-C does not reach it; it ends with its input
+                # Ctrl-C does not reach it; it ends with its input
+                start_new_session=True,
             )
         except OSError as error:
             self._remarks.close()
@@ -154,7 +171,7 @@ class VirtualArduino(EmulatedBoard):
     def _ask(self, line: str) -> _State:
         with self._lock:
             try:
-                assert self._process.stdin is not None  # noqa: S101  (opened as a pipe)
+                assert self._process.stdin is not None  # noqa: S101
                 self._process.stdin.write(line.encode() + b"\n")
                 self._process.stdin.flush()
             except (OSError, ValueError) as error:
@@ -162,21 +179,25 @@ class VirtualArduino(EmulatedBoard):
             return self._hear()
 
     def _hear(self) -> _State:
-        assert self._process.stdout is not None  # noqa: S101  (opened as a pipe)
+        assert self._process.stdout is not None  # noqa: S101
         words = self._process.stdout.readline().split()
         if not words:
             self._remarks.seek(0)
             remarks = self._remarks.read().decode(errors="replace").strip()[-500:]
             raise self._error(f"its process has ended: {remarks}")
         if words[0] != b"state":
-            raise self._error("it refused a command; rebuild it from this version's sources")
+            raise self._error(
+                "it refused a command; rebuild it from this version's sources"
+            )
         return _State(*map(int, words[1:]))
 
     def _drive(self, state: _State) -> PinDrive:
         enabled = bool(state.enable)
         magnitude = PWM_LIMIT * state.high / state.top if enabled and state.top else 0.0
         cools = state.direction and magnitude > 0
-        return PinDrive(state.time_us / 1e6, -magnitude if cools else magnitude, enabled)
+        return PinDrive(
+            state.time_us / 1e6, -magnitude if cools else magnitude, enabled
+        )
 
 
 Board = StandInArduino | VirtualArduino
@@ -202,7 +223,9 @@ def make_board(wanted: str, port: Path) -> VirtualBoard:
         ArduinoError: there is no such kind, or it cannot be created.
     """
     if wanted not in BOARDS:
-        raise ArduinoError(f"virtual rig: board {wanted!r} does not exist; choose one of {', '.join(BOARDS)}")
+        raise ArduinoError(
+            f"virtual rig: board {wanted!r} does not exist; choose one of {', '.join(BOARDS)}"
+        )
     why = "as requested"
     if wanted != "python":
         try:
@@ -212,8 +235,16 @@ def make_board(wanted: str, port: Path) -> VirtualBoard:
                 raise
             why = str(error).splitlines()[0]
         else:
-            return VirtualBoard(_on_the_bus(board), "simavr", "the firmware image on a simulated ATmega32U4")
-    return VirtualBoard(_on_the_bus(StandInArduino(port)), "python", f"a stand-in, no firmware runs: {why}")
+            return VirtualBoard(
+                _on_the_bus(board),
+                "simavr",
+                "the firmware image on a simulated ATmega32U4",
+            )
+    return VirtualBoard(
+        _on_the_bus(StandInArduino(port)),
+        "python",
+        f"a stand-in, no firmware runs: {why}",
+    )
 
 
 def virtual_tools() -> VirtualTools:
@@ -223,7 +254,9 @@ def virtual_tools() -> VirtualTools:
         ArduinoError: there are no sources, a tool is missing, or something does not compile.
     """
     if not (_PROJECT / "virtual_board" / "Makefile").exists():
-        raise ArduinoError("virtual board: its sources are not installed; use a checkout of the project")
+        raise ArduinoError(
+            "virtual board: its sources are not installed; use a checkout of the project"
+        )
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     checkout = hashlib.sha256(str(_PROJECT).encode()).hexdigest()[:12]
     build = home / "twinmatch" / f"virtual_board-{checkout}"
@@ -233,12 +266,16 @@ def virtual_tools() -> VirtualTools:
             fcntl.flock(lock, fcntl.LOCK_EX)  # two rigs may start at once
             return build_virtual_board(_PROJECT, build)
     except OSError as error:
-        raise ArduinoError(f"virtual board: it cannot be built in {build} ({error})") from error
+        raise ArduinoError(
+            f"virtual board: it cannot be built in {build} ({error})"
+        ) from error
 
 
 def _on_the_bus(board: Board) -> Board:
     board.advance(_BOOT)
     if not Path(board.port).exists():
         board.close()
-        raise ArduinoError(f"virtual board at {board.port}: not on the bus after {_BOOT} s")
+        raise ArduinoError(
+            f"virtual board at {board.port}: not on the bus after {_BOOT} s"
+        )
     return board

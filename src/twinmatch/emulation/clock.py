@@ -41,7 +41,9 @@ def parse_address(text: str) -> tuple[str, int]:
     """
     host, _, port = text.rpartition(":")
     if not (host and port.isascii() and port.isdecimal() and 0 < int(port) < 65536):
-        raise ClockError(f"clock address {text!r}: give HOST:PORT, as the virtual rig prints it")
+        raise ClockError(
+            f"clock address {text!r}: give HOST:PORT, as the virtual rig prints it"
+        )
     return host.strip("[]"), int(port)
 
 
@@ -178,7 +180,9 @@ class ClockServer(LineServer):
     @property
     def driven(self) -> bool:
         """Whether a process that commands the plant keeps step."""
-        return any(reader.drives and not reader.given_up for reader in self._readers.values())
+        return any(
+            reader.drives and not reader.given_up for reader in self._readers.values()
+        )
 
     @property
     def breathing(self) -> bool:
@@ -190,7 +194,9 @@ class ClockServer(LineServer):
         wall_now = time.monotonic()
         lowest = math.inf
         for reader in self._readers.values():
-            if reader.until is None or (reader.until <= stamp and not reader.awaits(wall_now)):
+            if reader.until is None or (
+                reader.until <= stamp and not reader.awaits(wall_now)
+            ):
                 continue
             lowest = min(lowest, reader.until)
         return lowest
@@ -199,7 +205,9 @@ class ClockServer(LineServer):
         """Whether a reader that takes images has not taken the one of this time, ns, yet."""
         wall_now = time.monotonic()
         return any(
-            reader.image is not None and reader.image < image and reader.awaits(wall_now)
+            reader.image is not None
+            and reader.image < image
+            and reader.awaits(wall_now)
             for reader in self._readers.values()
         )
 
@@ -229,7 +237,9 @@ class ClockClient(Background):
     def _send(self, kind: str) -> None:
         if self._connection is not None:
             with contextlib.suppress(OSError):
-                self._connection.sendall(b"%s %d\n" % (kind.encode(), self._newest_stamps[kind]))
+                self._connection.sendall(
+                    b"%s %d\n" % (kind.encode(), self._newest_stamps[kind])
+                )
 
     def _keep_following(self) -> None:
         pause = self._FIRST_PAUSE
@@ -262,8 +272,12 @@ class ClockClient(Background):
             if not piece:
                 raise ClockError("the virtual rig has ended")
             *lines, unfinished = (unfinished + piece).split(b"\n")
-            if len(unfinished) > _MAX_NUMBER or any(not line.isdigit() for line in lines[-1:]):
-                raise ClockError("the stream is not the clock of a virtual rig; is the address right?")
+            if len(unfinished) > _MAX_NUMBER or any(
+                not line.isdigit() for line in lines[-1:]
+            ):
+                raise ClockError(
+                    "the stream is not the clock of a virtual rig; is the address right?"
+                )
             if lines:
                 self._tell(int(lines[-1]))
 

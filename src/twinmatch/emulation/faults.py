@@ -106,7 +106,9 @@ def _parse_fault(text: str) -> RigFault:
     _check_kind(kind)
     start, plus, duration = times.partition("+")
     if not mark:
-        raise FaultError(f"fault {text!r}: no time; write {kind}@SECONDS or {kind}@SECONDS+DURATION")
+        raise FaultError(
+            f"fault {text!r}: no time; write {kind}@SECONDS or {kind}@SECONDS+DURATION"
+        )
     return RigFault(kind, _seconds(text, start, 0.0), _duration(text, plus, duration))
 
 
@@ -114,7 +116,9 @@ def _check_kind(kind: str) -> None:
     name, dot, number = kind.partition(".")
     if name not in KINDS or (dot and not number.isdigit()):
         near = difflib.get_close_matches(name, KINDS, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(KINDS)}"
+        hint = (
+            f"did you mean {near[0]}?" if near else f"choose one of {', '.join(KINDS)}"
+        )
         raise FaultError(f"fault {kind!r} does not exist; {hint}")
 
 
@@ -128,7 +132,9 @@ def _seconds(text: str, number: str, least: float) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value >= least):
-        raise FaultError(f"fault {text!r}: {number!r} is not a time; give seconds of plant time")
+        raise FaultError(
+            f"fault {text!r}: {number!r} is not a time; give seconds of plant time"
+        )
     return value
 
 
@@ -136,7 +142,8 @@ class FaultSchedule:
     """Scheduled and active faults."""
 
     def __init__(self, faults: Iterable[RigFault] = ()) -> None:
-        self._changes: list[Change] = []  # by time, simultaneous ones in the order of their commands
+        # by time, simultaneous ones in the order of their commands
+        self._changes: list[Change] = []
         self._on: dict[str, int] = {}
         self._since: dict[str, float] = {}
         for fault in faults:
@@ -153,7 +160,9 @@ class FaultSchedule:
 
     def lasted(self, kind: str, now: float, number: int = 1) -> float:
         """For how long a kind has been active of the sensor of this number, s; 0 if it is not."""
-        since = [self._since[name] for name in (kind, f"{kind}.{number}") if name in self._on]
+        since = [
+            self._since[name] for name in (kind, f"{kind}.{number}") if name in self._on
+        ]
         return now - min(since, default=now)
 
     def told(self, true: float, room: float, now: float, number: int = 1) -> float:
@@ -197,7 +206,9 @@ class FaultSchedule:
         return turned
 
     def _push(self, time: float, kind: str, *, begins: bool) -> None:
-        insort(self._changes, Change(time, kind, begins), key=lambda change: change.time)
+        insort(
+            self._changes, Change(time, kind, begins), key=lambda change: change.time
+        )
 
 
 class RigControlError(TwinmatchError):
@@ -243,7 +254,9 @@ def tell(path: str | Path, line: str) -> str:
             connection.sendall(line.encode() + b"\n")
             answer = connection.makefile("r", encoding="utf-8").readline().strip()
     except OSError as error:
-        msg = f"virtual rig at {path}: {error}; give the address it prints as `control:`"
+        msg = (
+            f"virtual rig at {path}: {error}; give the address it prints as `control:`"
+        )
         raise RigControlError(msg) from error
     verdict, _, text = answer.partition(" ")
     if verdict != "ok":

@@ -71,7 +71,9 @@ class KitBoard:
                 command = self._received
                 self._received = b""
                 if command.strip():
-                    self.say(self._obey(command.decode(errors="replace")).encode() + b"\r\n")
+                    self.say(
+                        self._obey(command.decode(errors="replace")).encode() + b"\r\n"
+                    )
             else:
                 self._received += bytes([byte])
 
@@ -118,7 +120,13 @@ class VirtualKit(VirtualPlantTime):
     """Temperature step of `ambient-step`, °C."""
 
     STANDING = 0.002  # its host waits for answers meanwhile
-    EACH: ClassVar = ("drive-lost", "sensor-frozen", "sensor-drifts", "sensor-offset", "sensor-slips")
+    EACH: ClassVar = (
+        "drive-lost",
+        "sensor-frozen",
+        "sensor-drifts",
+        "sensor-offset",
+        "sensor-slips",
+    )
     """Faults of one heater or sensor; without a number, of heater 1 or of both sensors."""
     KINDS: ClassVar = frozenset(EACH).union(
         ("cable-pulled", "garbage-serial", "ambient-step", "board-hung"),
@@ -131,7 +139,7 @@ class VirtualKit(VirtualPlantTime):
             raise VirtualRigError(
                 "virtual kit: the package tclab is not installed; pip install 'twinmatch[tclab]'"
             )
-        import tclab  # noqa: PLC0415 (an optional dependency)
+        import tclab  # noqa: PLC0415
 
         random.seed(self.settings.seed)  # the model draws its noise there
         with contextlib.redirect_stdout(io.StringIO()):
@@ -190,5 +198,7 @@ class VirtualKit(VirtualPlantTime):
     def _reading(self, number: int) -> float:
         if not self.schedule.acts("sensor-frozen", number):
             true = float(self._model.T1 if number == 1 else self._model.T2)
-            self._shown[number] = self.schedule.told(true, float(self._model.Ta), self.elapsed, number)
+            self._shown[number] = self.schedule.told(
+                true, float(self._model.Ta), self.elapsed, number
+            )
         return self._shown[number]

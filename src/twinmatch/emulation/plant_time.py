@@ -68,9 +68,13 @@ class RigSettings:
             msg = f"virtual rig: the speed is {self.speed}; give 0.01 to 1000 times the wall clock, or max"
             raise VirtualRigError(msg)
         if not self.duration > 0:
-            raise VirtualRigError(f"virtual rig: the duration is {self.duration} s; it must be positive")
+            raise VirtualRigError(
+                f"virtual rig: the duration is {self.duration} s; it must be positive"
+            )
         if self.seed < 0:
-            raise VirtualRigError(f"virtual rig: the seed is {self.seed}; give 0 or more")
+            raise VirtualRigError(
+                f"virtual rig: the seed is {self.seed}; give 0 or more"
+            )
 
 
 class VirtualPlantTime(ABC):
@@ -166,7 +170,11 @@ class VirtualPlantTime(ABC):
     def addresses(self) -> dict[str, str]:
         """The addresses of all parts, by name."""
         clock = "{}:{}".format(*self._clock.address)
-        return {**self._own_addresses, "clock": clock, "control": str(self._control.path)}
+        return {
+            **self._own_addresses,
+            "clock": clock,
+            "control": str(self._control.path),
+        }
 
     @property
     def elapsed(self) -> float:
@@ -204,7 +212,9 @@ class VirtualPlantTime(ABC):
                 continue
             self.slice = self._longest
             if limit < math.inf:
-                self.slice = min(self.slice, math.ceil((limit - self.stamp) / 1_000_000))
+                self.slice = min(
+                    self.slice, math.ceil((limit - self.stamp) / 1_000_000)
+                )
             wait = self.pace.wait(self.elapsed + self.slice / 1000)
             if wait > 0:
                 self.rest(wait)
@@ -213,7 +223,10 @@ class VirtualPlantTime(ABC):
             if wall_now - listened >= self._every:
                 listened = wall_now
                 # While driven it stops often, and tells the time there, unless who drives has a wrong time.
-                if not self._clock.driven or wall_now - self._clock_sent >= self._REPEAT:
+                if (
+                    not self._clock.driven
+                    or wall_now - self._clock_sent >= self._REPEAT
+                ):
                     self._send_clock(wall_now)
                 self._attend(watch)
                 limit = self._listen()
@@ -285,7 +298,9 @@ class VirtualPlantTime(ABC):
             self.schedule.end(kind, self.elapsed)
             return ""
         if not line:
-            raise FaultError("empty command; send KIND[+SECONDS], end KIND, state or stop")
+            raise FaultError(
+                "empty command; send KIND[+SECONDS], end KIND, state or stop"
+            )
         self.schedule.add(self._require(parse_now(line, self.elapsed)))
         return ""
 
@@ -317,7 +332,9 @@ class RigPace:
         wall_now = time.monotonic()
         self._mark(wall_now, plant)
         due = self._wall + (plant - self._plant) / self.speed
-        late = math.inf if self._real else max(self._MIN_LATE, self._MAX_LATE / self.speed)
+        late = (
+            math.inf if self._real else max(self._MIN_LATE, self._MAX_LATE / self.speed)
+        )
         if wall_now - due > late:
             self._wall = wall_now - late
             self._plant = plant
@@ -334,7 +351,9 @@ class RigPace:
         """Recent plant time per wall time."""
         first_wall, first = self._marks[0]
         last_wall, last = self._marks[-1]
-        return (last - first) / (last_wall - first_wall) if last_wall > first_wall else 0.0
+        return (
+            (last - first) / (last_wall - first_wall) if last_wall > first_wall else 0.0
+        )
 
     def overall(self, plant: float) -> tuple[float, float]:
         """Wall time since the start, s, and plant time per wall time over all of it."""

@@ -147,12 +147,15 @@ class VirtualCamera:
                 if port := re.search(r"serving .*:(\d+)$", line):
                     return int(port[1])
             time.sleep(0.01)
-        raise VirtualCameraError(f"virtual camera: its program was not ready after {self.PATIENCE:g} s")
+        raise VirtualCameraError(
+            f"virtual camera: its program was not ready after {self.PATIENCE:g} s"
+        )
 
     def _show(self) -> None:
         self._shown_at = time.monotonic()
         if self._process is not None and self._line:
-            with contextlib.suppress(BlockingIOError, BrokenPipeError):  # it is slow, or its end is noticed
+            with contextlib.suppress(BlockingIOError, BrokenPipeError):
+                # it is slow, or its end is noticed
                 _pipe(self._process.stdin).write(b"%s %d\n" % (self._line, self.stamp))
             self._listen()
 
@@ -165,7 +168,9 @@ class VirtualCamera:
             self._printed_lines.extend(output.decode(errors="replace").splitlines())
         elif output == b"":
             last = " / ".join(list(self._printed_lines)[-3:])
-            raise VirtualCameraError(f"virtual camera: its program has ended unexpectedly: {last}")
+            raise VirtualCameraError(
+                f"virtual camera: its program has ended unexpectedly: {last}"
+            )
 
     def _end_program(self) -> None:
         process = self._process

@@ -107,8 +107,13 @@ class VirtualPlant:
 
     def _celsius(self, name: str) -> float:
         """A state, °C; a sink without mass is at room temperature."""
-        by_name = dict(zip(self._parameters.model.states, self.states.tolist(), strict=True))
-        return float(by_name.get(name, self.parameters["ambient"])) - Peltier.output.absolute
+        by_name = dict(
+            zip(self._parameters.model.states, self.states.tolist(), strict=True)
+        )
+        return (
+            float(by_name.get(name, self.parameters["ambient"]))
+            - Peltier.output.absolute
+        )
 
     def _under(self, *, enabled: bool) -> Parameters:
         """Parameters under the active faults, with a closed or an open circuit; cached."""
@@ -119,7 +124,9 @@ class VirtualPlant:
                 still_air = self._STILL_AIR * parameters["sink_convection"]
                 parameters = parameters.replace(sink_convection=still_air)
             if self.warm_room:
-                parameters = parameters.replace(ambient=parameters["ambient"] + self._AMBIENT_STEP)
+                parameters = parameters.replace(
+                    ambient=parameters["ambient"] + self._AMBIENT_STEP
+                )
             if not enabled:
                 parameters = parameters.replace(current_limit=self._OPEN)
             self._parameters_by_case[case] = parameters
@@ -171,12 +178,17 @@ class VirtualRig(VirtualPlantTime):
             self.settings.board, self.folder / "ttyACM0"
         )
         stack.callback(self._board.close)
-        self._camera = VirtualCamera(ambient=self.plant.plate, seed=1000 * self.settings.seed)
+        self._camera = VirtualCamera(
+            ambient=self.plant.plate, seed=1000 * self.settings.seed
+        )
         stack.callback(self._camera.close)
         self._noise = SerialNoise(self._board.port, self.settings.seed)
         self.drive = self._board.drive()
         """State of the driver's pins."""
-        return {"camera": "{}:{}".format(*self._camera.address), "serial": self._board.port}
+        return {
+            "camera": "{}:{}".format(*self._camera.address),
+            "serial": self._board.port,
+        }
 
     def advance(self) -> None:
         """Advance by one slice of plant time."""
@@ -194,7 +206,8 @@ class VirtualRig(VirtualPlantTime):
         if "garbage-serial" not in self.schedule.active:
             self.drive = self._board.advance(self.slice / 1000)
             return
-        for _ in range(self.slice):  # the other program may interfere at every millisecond
+        for _ in range(self.slice):
+            # the other program may interfere at every millisecond
             self.drive = self._board.advance(0.001)
             self._noise.burst()
 
@@ -236,4 +249,8 @@ class VirtualRig(VirtualPlantTime):
     def _answering(self) -> Serving:
         if "camera-gone" in self.schedule.active:
             return Serving.NOBODY
-        return Serving.GARBAGE if "garbage-camera" in self.schedule.active else Serving.CAMERA
+        return (
+            Serving.GARBAGE
+            if "garbage-camera" in self.schedule.active
+            else Serving.CAMERA
+        )

@@ -104,7 +104,9 @@ class BoxJenkins:
     @property
     def coefficients(self) -> FloatArray:
         """The free coefficients in the order of `covariance`, shape (n_parameters,)."""
-        return np.concatenate((self.B[self.order.nk :], self.C[1:], self.D[1:], self.F[1:]))
+        return np.concatenate(
+            (self.B[self.order.nk :], self.C[1:], self.D[1:], self.F[1:])
+        )
 
     @property
     def n_parameters(self) -> int:
@@ -150,7 +152,9 @@ class BoxJenkins:
         if recorded.size > input_.size:
             msg = f"simulate: {recorded.size} recorded outputs for {input_.size} inputs; give at most as many"
             raise FittingError(msg)
-        return np.asarray(continue_outputs(self.B.copy(), self.F.copy(), input_, recorded))
+        return np.asarray(
+            continue_outputs(self.B.copy(), self.F.copy(), input_, recorded)
+        )
 
     def prediction_errors(
         self, u: ArrayLike, y: ArrayLike, initial: str | ArrayLike = "estimate"
@@ -170,14 +174,20 @@ class BoxJenkins:
         if not isinstance(initial, str):
             m = np.array(initial, dtype=np.float64)
         elif initial == "estimate":
-            return np.asarray(smallest_errors(u, y, self.polynomials, self.order.predictor_state))
+            return np.asarray(
+                smallest_errors(u, y, self.polynomials, self.order.predictor_state)
+            )
         elif initial == "zero":
             m = np.zeros(0)
         else:
-            raise FittingError(f'initial: {initial!r} is unknown; use "estimate", "zero" or an array')
+            raise FittingError(
+                f'initial: {initial!r} is unknown; use "estimate", "zero" or an array'
+            )
         return np.asarray(errors_of(u, y, self.polynomials, m))
 
-    def loss(self, u: ArrayLike, y: ArrayLike, initial: str | ArrayLike = "estimate") -> float:
+    def loss(
+        self, u: ArrayLike, y: ArrayLike, initial: str | ArrayLike = "estimate"
+    ) -> float:
         """Mean squared prediction error on any data; arguments as for `prediction_errors`."""
         return float(np.mean(self.prediction_errors(u, y, initial) ** 2))
 
@@ -261,14 +271,18 @@ def estimate_ladder(
         parsed = parse_order(order)
         below = [model for model in models.values() if parsed.covers(model.order)]
         start = min(below, key=lambda model: model.variance, default=None)
-        models[str(parsed)] = estimate(u, y, parsed, initial=initial, start=start, hops=hops, period=period)
+        models[str(parsed)] = estimate(
+            u, y, parsed, initial=initial, start=start, hops=hops, period=period
+        )
     return models
 
 
 def _task(u: FloatArray, y: FloatArray, order: Order, initial: str) -> Task:
     task = task_of(u, y, order, initial)
     if np.ptp(u) <= 1e-12 * np.max(np.abs(u)):
-        raise FittingError(f"input u is constant ({u[0]:g}); nothing can be identified from it")
+        raise FittingError(
+            f"input u is constant ({u[0]:g}); nothing can be identified from it"
+        )
     if u.size < unknowns(task) + SPARE:
         msg = f"{u.size} samples are too few for order {order}; give at least {unknowns(task) + SPARE}"
         raise FittingError(msg)
@@ -290,15 +304,20 @@ def _best(task: Task, order: Order, thetas: list[FloatArray], hops: int) -> Outc
     around = Hops(order)
     for k in range(1, len(thetas) + (hops if around.possible else 0)):
         theta = thetas[k] if k < len(thetas) else around.from_model(best.theta)
-        retried, _, steps_taken = descend(task, theta, Rules(ROUTE, COARSE, best.cost * (1.0 - WORTH)))
+        retried, _, steps_taken = descend(
+            task, theta, Rules(ROUTE, COARSE, best.cost * (1.0 - WORTH))
+        )
         if retried.cost < best.cost:
             best = retried
             steps = steps_taken
     best, converged, steps_taken = descend(task, best.theta, Rules(LAST, FINE))
     steps += steps_taken
     polished, _, _ = descend(task, best.theta, Rules(0, FINE, exact=True))
-    if abs(polished.cost - best.cost) > LOST * best.cost:  # the normal equations had lost digits
-        polished, converged, steps_taken = descend(task, best.theta, Rules(LAST, FINE, exact=True))
+    if abs(polished.cost - best.cost) > LOST * best.cost:
+        # the normal equations had lost digits
+        polished, converged, steps_taken = descend(
+            task, best.theta, Rules(LAST, FINE, exact=True)
+        )
         steps += steps_taken
     return polished, converged, steps
 

@@ -81,9 +81,13 @@ def parse_order(order: str | Sequence[int]) -> Order:
         raise FittingError(msg)
     parsed = Order(*numbers)
     if parsed.nb < 1:
-        raise FittingError(f"order: {order!r} leaves no coefficient for B; nb must be at least 1")
+        raise FittingError(
+            f"order: {order!r} leaves no coefficient for B; nb must be at least 1"
+        )
     if min(parsed) < 0 or max(parsed) > MAX_ORDER:
-        raise FittingError(f"order: {order!r} has a number outside 0 to {MAX_ORDER}; give smaller ones")
+        raise FittingError(
+            f"order: {order!r} has a number outside 0 to {MAX_ORDER}; give smaller ones"
+        )
     return parsed
 
 
@@ -93,12 +97,17 @@ def checked_signal(values: ArrayLike, name: str) -> FloatArray:
     Raises:
         FittingError: not one-dimensional, empty, or not finite.
     """
-    signal = np.array(values, dtype=np.float64, order="C")  # a copy: kernels are compiled for writable arrays
+    # a copy: kernels are compiled for writable arrays
+    signal = np.array(values, dtype=np.float64, order="C")
     if signal.ndim != 1 or signal.size == 0:
-        raise FittingError(f"{name}: has shape {signal.shape}; give one value per sample")
+        raise FittingError(
+            f"{name}: has shape {signal.shape}; give one value per sample"
+        )
     bad = np.flatnonzero(~np.isfinite(signal))
     if bad.size:
-        raise FittingError(f"{name}: {signal[bad[0]]} at sample {bad[0]}; only finite values can be used")
+        raise FittingError(
+            f"{name}: {signal[bad[0]]} at sample {bad[0]}; only finite values can be used"
+        )
     return signal
 
 
@@ -111,5 +120,7 @@ def checked_pair(u: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
     input_ = checked_signal(u, "input u")
     output = checked_signal(y, "output y")
     if input_.size != output.size:
-        raise FittingError(f"input u has {input_.size} samples and output y {output.size}; give equally many")
+        raise FittingError(
+            f"input u has {input_.size} samples and output y {output.size}; give equally many"
+        )
     return input_, output

@@ -31,7 +31,9 @@ and has no effect otherwise."""
 
 
 @compiled(inside=True)
-def delayed_rows(signals: FloatArray, spans: Spans, start: int, count: int, rows: FloatArray) -> None:
+def delayed_rows(
+    signals: FloatArray, spans: Spans, start: int, count: int, rows: FloatArray
+) -> None:
     """Copy the columns of `count` samples from index `start` on into `rows`, shape (≥ count, p)."""
     column = 0
     for p in range(spans.shape[0]):
@@ -96,7 +98,9 @@ def correlate(signals: FloatArray, low: int, spans: Spans) -> FloatArray:
 
 
 @compiled(inside=True)
-def first_products(signals: FloatArray, low: int, spans: Spans, corners: NDArray[np.int64]) -> FloatArray:
+def first_products(
+    signals: FloatArray, low: int, spans: Spans, corners: NDArray[np.int64]
+) -> FloatArray:
     """Inner products of the first column of every group with all columns, shape (g, p)."""
     groups = spans.shape[0]
     count = signals.shape[1] - low
@@ -121,7 +125,9 @@ def first_products(signals: FloatArray, low: int, spans: Spans, corners: NDArray
 
 
 @compiled(inside=True)
-def products(a: FloatArray, b: FloatArray, c: FloatArray, x: FloatArray, out: FloatArray) -> None:
+def products(
+    a: FloatArray, b: FloatArray, c: FloatArray, x: FloatArray, out: FloatArray
+) -> None:
     """Sums of a(t), b(t) and c(t) times x(t + j), j = 0 … 3, over the length of a; shape (12,).
 
     Twelve parallel sums fill the vector unit, and every sample of x is loaded for three of them.

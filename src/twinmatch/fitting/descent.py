@@ -18,7 +18,14 @@ from twinmatch.compiled import compiled
 from twinmatch.dynamics.kernels import copy_into
 from twinmatch.fitting.delayed import column_norms
 from twinmatch.fitting.polynomials import boundary_normals, dot
-from twinmatch.fitting.prediction import ROWS, Place, Task, curvature, evaluate, linearise
+from twinmatch.fitting.prediction import (
+    ROWS,
+    Place,
+    Task,
+    curvature,
+    evaluate,
+    linearise,
+)
 from twinmatch.signals import FloatArray
 
 FLAT = 10.0
@@ -70,7 +77,9 @@ def product(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 @compiled(inlined=True)
-def diagonalise(gradient: FloatArray, hessian: FloatArray, basis: FloatArray) -> Quadratic:
+def diagonalise(
+    gradient: FloatArray, hessian: FloatArray, basis: FloatArray
+) -> Quadratic:
     """The cost around a point, cost + 2 gᵀδ + δᵀHδ, in the eigenvectors of the Hessian in `basis`."""
     across = np.ascontiguousarray(basis.T)
     curvatures, axes = np.linalg.eigh(product(across, product(hessian, basis)))
@@ -185,7 +194,9 @@ def outward(task: Task, place: Place) -> FloatArray:
     rows = np.zeros((place.theta.size, place.theta.size))
     first = count = 0
     for k in range(3):
-        polynomial = place.model.C if k == 0 else place.model.D if k == 1 else place.model.F
+        polynomial = (
+            place.model.C if k == 0 else place.model.D if k == 1 else place.model.F
+        )
         normals = boundary_normals(polynomial, task.radii[k])
         for i in range(normals.shape[0]):
             copy_into(normals[i], rows[count, first:])
@@ -228,7 +239,9 @@ def descend(task: Task, theta: FloatArray, rules: Rules) -> tuple[Place, bool, i
             if damping > STIFF:
                 return place, True, iteration
         ratio = gained / expected if expected > 0.0 else 0.0
-        damping = max(damping * (0.1 if ratio > 0.75 else 0.5 if ratio > 0.25 else 2.0), 1e-12)
+        damping = max(
+            damping * (0.1 if ratio > 0.75 else 0.5 if ratio > 0.25 else 2.0), 1e-12
+        )
         newton = newton or not 0.5 < ratio < 2.0
         idle = idle + 1 if gained < FLAT * rules.settled * place.cost else 0
         place = trial

@@ -1,7 +1,5 @@
 """Nonlinear least squares on output and input, covariance of the estimate, profile-likelihood intervals."""
 
-# ruff: noqa: PLR0917 (kernels take arrays in a row)
-
 from __future__ import annotations
 
 import math
@@ -82,7 +80,9 @@ def starts_for(problem: Problem, start: Parameters) -> list[FloatArray]:
     """
     starts = [problem.values_of(start)]
     for changes in start.model.structure.starts:
-        free_changes = {name: value for name, value in changes.items() if name in problem.free}
+        free_changes = {
+            name: value for name, value in changes.items() if name in problem.free
+        }
         if free_changes:
             starts.append(problem.values_of(start.replace(**free_changes)))
     return starts
@@ -125,7 +125,9 @@ class Uncertainty:
     def given(self, places: Sequence[int]) -> Uncertainty:
         """The uncertainty of the parameters at these places if the others are known."""
         block = np.ix_(places, places)
-        return _uncertainty_of(self.fisher[block], self.scores[block], self.scales[list(places)])
+        return _uncertainty_of(
+            self.fisher[block], self.scores[block], self.scales[list(places)]
+        )
 
 
 def uncertainty(problem: Problem, estimate: Estimate) -> Uncertainty:
@@ -153,18 +155,24 @@ def _sizes_at(problem: Problem, values: FloatArray) -> FloatArray:
     Otherwise a default that is hundreds of times too small looks like a direction that hardly shows.
     """
     sizes = problem.scales.copy()
-    for place, (unknown, value) in enumerate(zip(problem.unknowns, values.tolist(), strict=True)):
+    for place, (unknown, value) in enumerate(
+        zip(problem.unknowns, values.tolist(), strict=True)
+    ):
         is_far = not sizes[place] / _FAR <= value <= sizes[place] * _FAR
         if unknown.relative and unknown.bounds[0] > 0.0 and is_far:
             sizes[place] = value
     return sizes
 
 
-def _uncertainty_of(fisher: FloatArray, scores: FloatArray, scales: FloatArray) -> Uncertainty:
+def _uncertainty_of(
+    fisher: FloatArray, scores: FloatArray, scales: FloatArray
+) -> Uncertainty:
     scaling = np.outer(scales, scales)
     eigenvalues, directions = np.linalg.eigh(fisher * scaling)
     eigenvalues = np.maximum(eigenvalues, 0.0)
-    largest_components = directions[np.argmax(np.abs(directions), axis=0), np.arange(scales.size)]
+    largest_components = directions[
+        np.argmax(np.abs(directions), axis=0), np.arange(scales.size)
+    ]
     directions = directions * np.where(largest_components < 0.0, -1.0, 1.0)
     smallest = float(eigenvalues[0])
     largest = float(eigenvalues[-1])
@@ -176,10 +184,14 @@ def _uncertainty_of(fisher: FloatArray, scores: FloatArray, scales: FloatArray) 
     else:
         condition = float("inf")
         covariance = np.full_like(fisher, np.inf)
-    return Uncertainty(fisher, scores, scales, eigenvalues, directions, condition, covariance)
+    return Uncertainty(
+        fisher, scores, scales, eigenvalues, directions, condition, covariance
+    )
 
 
-def profile_intervals(problem: Problem, values: FloatArray, covariance: FloatArray) -> FloatArray:
+def profile_intervals(
+    problem: Problem, values: FloatArray, covariance: FloatArray
+) -> FloatArray:
     """95 % interval of each parameter around the estimate `values`, shape (n, 2).
 
     The residuals are not white, so the sum of squares may rise by the quantile times the ratio of the
@@ -203,11 +215,15 @@ def profile_intervals(problem: Problem, values: FloatArray, covariance: FloatArr
             if end is not None:
                 intervals[i, side] = end[i]
             else:
-                intervals[i, side] = 0.0 if sign < 0 and problem.lower[i] == 0.0 else sign * math.inf
+                intervals[i, side] = (
+                    0.0 if sign < 0 and problem.lower[i] == 0.0 else sign * math.inf
+                )
     return intervals
 
 
-def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: float) -> FloatArray | None:
+def profile_end(
+    problem: Problem, start: Evaluation, i: int, sign: int, rise: float
+) -> FloatArray | None:
     """The parameters at which the sum of squares has risen by `rise` above its minimum at `start` along
     parameter `i`, with the others refitted; None if it does not rise so far inside the bounds.
 
@@ -232,7 +248,9 @@ def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: fl
         way = model_reach(*box, float(inside.values[i]), bound, cost, limit)
         for _ in range(_PROFILE.cuts):
             step = model_profile(*box, way, cost)[0]
-            trial = problem.evaluate(np.minimum(np.maximum(values + step, problem.lower), problem.upper))
+            trial = problem.evaluate(
+                np.minimum(np.maximum(values + step, problem.lower), problem.upper)
+            )
             if trial.cost <= max(limit + _PROFILE.far * rise, cost):
                 break
             way *= _PROFILE.cut
@@ -242,8 +260,13 @@ def profile_end(problem: Problem, start: Evaluation, i: int, sign: int, rise: fl
     return _find_end(problem, inside, i, bound, limit, rise)
 
 
-def _find_end(
-    problem: Problem, inside: Evaluation, i: int, bound: float, limit: float, rise: float
+def _find_end(  # noqa: PLR0917
+    problem: Problem,
+    inside: Evaluation,
+    i: int,
+    bound: float,
+    limit: float,
+    rise: float,
 ) -> FloatArray | None:
     """Find the end between a value inside and one outside, refitting the others at each."""
     near = inside.values
@@ -251,12 +274,16 @@ def _find_end(
     far = bound
     beyond = math.inf
     ahead = 1.0
-    span = math.copysign(_PROFILE.first_span * float(problem.scales[i]), bound - float(near[i]))
+    span = math.copysign(
+        _PROFILE.first_span * float(problem.scales[i]), bound - float(near[i])
+    )
     for _ in range(_PROFILE.refits):
         near_value = float(near[i])
         if math.isfinite(beyond):
             # The rise is nearly a parabola, so a straight line approximates its root; Illinois method.
-            target = near_value + (far - near_value) * min(max(below / (below - beyond), 0.1), 0.9)
+            target = near_value + (far - near_value) * min(
+                max(below / (below - beyond), 0.1), 0.9
+            )
         else:
             target = near_value + span
             span = 3.0 * span
@@ -265,7 +292,9 @@ def _find_end(
         upper = problem.upper.copy()
         start = near.copy()
         lower[i] = upper[i] = start[i] = target
-        refit = problem.experiment.descend(start, lower, upper, problem.scales, _PROFILE.evaluations)
+        refit = problem.experiment.descend(
+            start, lower, upper, problem.scales, _PROFILE.evaluations
+        )
         excess = refit.cost - limit
         if abs(excess) <= _PROFILE.close * rise:
             return refit.values
@@ -283,7 +312,7 @@ def _find_end(
 
 
 @compiled
-def model_profile(
+def model_profile(  # noqa: PLR0917
     hessian: FloatArray,
     gradient: FloatArray,
     values: FloatArray,
@@ -297,13 +326,15 @@ def model_profile(
     low = lower.copy()
     high = upper.copy()
     low[i] = high[i] = values[i]
-    step, gain = box_step(hessian, gradient + hessian[:, i] * way, values, low, high, 1e-12)
+    step, gain = box_step(
+        hessian, gradient + hessian[:, i] * way, values, low, high, 1e-12
+    )
     step[i] = way
     return step, cost + (2.0 * gradient[i] + hessian[i, i] * way) * way - gain
 
 
 @compiled
-def model_reach(
+def model_reach(  # noqa: PLR0917
     hessian: FloatArray,
     gradient: FloatArray,
     values: FloatArray,
@@ -318,15 +349,22 @@ def model_reach(
     """Change of component `i` at which the quadratic model's convex profile reaches the limit."""
     near = inside - values[i]
     far = bound - values[i]
-    above = model_profile(hessian, gradient, values, lower, upper, i, far, cost)[1] - limit
+    above = (
+        model_profile(hessian, gradient, values, lower, upper, i, far, cost)[1] - limit
+    )
     if above <= 0.0:
         return float(far)
-    below = model_profile(hessian, gradient, values, lower, upper, i, near, cost)[1] - limit
+    below = (
+        model_profile(hessian, gradient, values, lower, upper, i, near, cost)[1] - limit
+    )
     if below >= 0.0:
         return float(0.5 * near)
     for _ in range(60):
         middle = 0.5 * (near + far)
-        value = model_profile(hessian, gradient, values, lower, upper, i, middle, cost)[1] - limit
+        value = (
+            model_profile(hessian, gradient, values, lower, upper, i, middle, cost)[1]
+            - limit
+        )
         if value > 0.0:
             far = middle
         else:

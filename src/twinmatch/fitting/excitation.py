@@ -73,7 +73,9 @@ def shown_movement(window: Window) -> FloatArray:
         responses = [_response(window, output, width) for width in (1, _TOGETHER)]
         largest = max(responses, key=np.ptp)
         if largest.any():  # a model may exaggerate, the output does not
-            shown[:, place] = largest * min(1.0, float(np.ptp(output) / np.ptp(largest)))
+            shown[:, place] = largest * min(
+                1.0, float(np.ptp(output) / np.ptp(largest))
+            )
     return shown
 
 
@@ -83,7 +85,11 @@ def _response(window: Window, output: FloatArray, width: int) -> FloatArray:
     blocks = len(window) // width
     if blocks <= _ORDER:
         return nothing
-    seen = np.ones((len(window), 1)) if window.seen is None else window.seen[:, None].astype(np.float64)
+    seen = (
+        np.ones((len(window), 1))
+        if window.seen is None
+        else window.seen[:, None].astype(np.float64)
+    )
     y = _means(output[:, None], width)
     u = _means(window.inputs, width)
     d = _means(window.disturbances, width)
@@ -99,7 +105,9 @@ def _response(window: Window, output: FloatArray, width: int) -> FloatArray:
     n_added = u.shape[1] * _ORDER
     if not _exceeds_chance(squares_without, squares, len(steps), n_added):
         return nothing
-    simulated = _simulated(coefficients[1 : 1 + _ORDER], coefficients[-n_added:], u - np.mean(u, axis=0))
+    simulated = _simulated(
+        coefficients[1 : 1 + _ORDER], coefficients[-n_added:], u - np.mean(u, axis=0)
+    )
     course = np.repeat(simulated, width)
     return np.pad(course, (0, len(window) - len(course)), mode="edge")
 
@@ -107,7 +115,9 @@ def _response(window: Window, output: FloatArray, width: int) -> FloatArray:
 def _means(values: FloatArray, width: int) -> FloatArray:
     """Means of successive `width` samples, shape (blocks, columns); what is left at the end is left out."""
     blocks = len(values) // width
-    means: FloatArray = values[: blocks * width].reshape(blocks, width, values.shape[1]).mean(axis=1)
+    means: FloatArray = (
+        values[: blocks * width].reshape(blocks, width, values.shape[1]).mean(axis=1)
+    )
     return means
 
 
@@ -120,7 +130,9 @@ def _lagged(values: FloatArray) -> FloatArray:
 def _equations_of(is_seen: BoolArray) -> BoolArray:
     """Which equations hold only values that were measured."""
     n_equations = len(is_seen) - _ORDER
-    usable: BoolArray = np.all([is_seen[lag : lag + n_equations] for lag in range(_ORDER + 1)], axis=0)
+    usable: BoolArray = np.all(
+        [is_seen[lag : lag + n_equations] for lag in range(_ORDER + 1)], axis=0
+    )
     return usable
 
 
@@ -132,7 +144,9 @@ def _fitted(equations: FloatArray, steps: FloatArray) -> tuple[FloatArray, float
     return scaled / sizes, float(left @ left)
 
 
-def _exceeds_chance(squares_without: float, squares: float, rows: int, n_added: int) -> bool:
+def _exceeds_chance(
+    squares_without: float, squares: float, rows: int, n_added: int
+) -> bool:
     """Whether added columns explain more than chance would: the logarithm of the ratio of the likelihoods has
     a χ² distribution, whose tail is bounded as Chernoff's bound has it."""
     if not squares_without > squares:
@@ -144,7 +158,9 @@ def _exceeds_chance(squares_without: float, squares: float, rows: int, n_added: 
     return log_chance < math.log(_CHANCE)
 
 
-def _simulated(of_output: FloatArray, of_inputs: FloatArray, inputs: FloatArray) -> FloatArray:
+def _simulated(
+    of_output: FloatArray, of_inputs: FloatArray, inputs: FloatArray
+) -> FloatArray:
     """The output's deviation from its mean, shape (N,), as the inputs deviate from theirs."""
     n_inputs = inputs.shape[1]
     deviation = np.zeros(len(inputs))
@@ -152,7 +168,9 @@ def _simulated(of_output: FloatArray, of_inputs: FloatArray, inputs: FloatArray)
         rate = 0.0
         for lag in range(_ORDER):
             by_inputs = of_inputs[lag * n_inputs : (lag + 1) * n_inputs]
-            rate += float(of_output[lag]) * deviation[k - lag] + float(by_inputs @ inputs[k - lag])
+            rate += float(of_output[lag]) * deviation[k - lag] + float(
+                by_inputs @ inputs[k - lag]
+            )
         deviation[k + 1] = deviation[k] + rate
         if not abs(deviation[k + 1]) < _ENDLESS:
             return np.zeros(len(inputs))
@@ -170,13 +188,13 @@ def why_not_moved(window: Window, plant: type[Plant], least: FloatArray) -> str:
         return "the input did not move"
     name, drive = drives[furthest]
     input_name = "the input" if len(drives) == 1 else f"the input {name}"
-    expected = np.max(np.abs(expected_movement(window, effect_of(plant, window.period))), axis=0)
+    expected = np.max(
+        np.abs(expected_movement(window, effect_of(plant, window.period))), axis=0
+    )
     nearest = int(np.argmax(expected / least))
     unit = [*plant.outputs.values()][nearest].unit
     by_input = f"{input_name} moved by {_amount(swings[furthest], drive.unit)}"
-    by_defaults = (
-        f"which by the defaults of the plant file moves the output by {_amount(expected[nearest], unit)}"
-    )
+    by_defaults = f"which by the defaults of the plant file moves the output by {_amount(expected[nearest], unit)}"
     sentence = f"{by_input}, {by_defaults}, less than the {_amount(least[nearest], unit)} that count"
     range_of_output = float(np.ptp(window.outputs[:, nearest]))
     if range_of_output < least[nearest]:

@@ -74,9 +74,18 @@ class GateLimits:
         return self.chi2 * (self.driven if law is None else 1.0)
 
     def __post_init__(self) -> None:
-        for name in ("chi2", "relative_error", "condition", "slack", "least_samples", "driven"):
+        for name in (
+            "chi2",
+            "relative_error",
+            "condition",
+            "slack",
+            "least_samples",
+            "driven",
+        ):
             if not getattr(self, name) > 0:
-                raise FittingError(f"gate: the limit {name} is {getattr(self, name)}; it must be positive")
+                raise FittingError(
+                    f"gate: the limit {name} is {getattr(self, name)}; it must be positive"
+                )
         for name in ("held_back", "least_seen"):
             if not 0 < getattr(self, name) < 1:
                 msg = f"gate: {name} is {getattr(self, name)}; give a share of the window between 0 and 1"
@@ -125,10 +134,19 @@ def judge(evidence: FitEvidence, limits: GateLimits) -> tuple[Status, str]:
             f"{evidence.most:g}: the plant did something that the model cannot"
         )
     if not evidence.converged:
-        return Status.DID_NOT_CONVERGE, "least squares did not converge within its number of evaluations"
+        return (
+            Status.DID_NOT_CONVERGE,
+            "least squares did not converge within its number of evaluations",
+        )
     if evidence.bounds_hit:
         return Status.BOUNDS_HIT, _bounds_sentence(evidence)
-    loose = undetermined(evidence.free, evidence.values, evidence.standard_errors, evidence.condition, limits)
+    loose = undetermined(
+        evidence.free,
+        evidence.values,
+        evidence.standard_errors,
+        evidence.condition,
+        limits,
+    )
     if loose:
         return Status.NOT_IDENTIFIABLE, loose
     if not evidence.held_back_chi2 <= limits.slack * evidence.incumbent_chi2:
@@ -144,8 +162,14 @@ def judge(evidence: FitEvidence, limits: GateLimits) -> tuple[Status, str]:
 
 
 def _bounds_sentence(evidence: FitEvidence) -> str:
-    named = {u.name: value for u, value in zip(evidence.free, evidence.values.tolist(), strict=True)}
-    return ", ".join(f"{name} ended on its bound at {named[name]:.3g}" for name in evidence.bounds_hit)
+    named = {
+        u.name: value
+        for u, value in zip(evidence.free, evidence.values.tolist(), strict=True)
+    }
+    return ", ".join(
+        f"{name} ended on its bound at {named[name]:.3g}"
+        for name in evidence.bounds_hit
+    )
 
 
 def undetermined(
@@ -161,8 +185,12 @@ def undetermined(
             f"the condition number {condition:.3g} is above {limits.condition:g}: "
             "some combination of the free parameters hardly shows in this window"
         )
-    for unknown, value, error in zip(free, values.tolist(), standard_errors.tolist(), strict=True):
+    for unknown, value, error in zip(
+        free, values.tolist(), standard_errors.tolist(), strict=True
+    ):
         size = abs(value) if unknown.relative else unknown.scale
-        if not unknown.initial and not (math.isfinite(error) and error <= limits.relative_error * size):
+        if not unknown.initial and not (
+            math.isfinite(error) and error <= limits.relative_error * size
+        ):
             return f"{unknown.name} is {value:.3g} ± {error:.1g}: this window does not determine it"
     return None

@@ -62,7 +62,9 @@ class _StepSuggestion:
 _SUGGESTION: Final = _StepSuggestion()
 
 
-def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name: str) -> str:
+def suggest_step(
+    problem: Problem, values: FloatArray, fisher: FloatArray, name: str
+) -> str:
     """A sentence with the step that would best determine the combination that this window determines least,
     and how much better parameter `name` would be known; empty if no step would help much, or if the loop
     is not known.
@@ -74,10 +76,14 @@ def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name:
     before = _scaled_inverse(problem, fisher)
     if before is None or problem.law is None or len(plant.outputs) > 1:
         return ""
-    least_known = np.linalg.eigh(fisher * np.outer(problem.scales, problem.scales))[1][:, 0]
+    least_known = np.linalg.eigh(fisher * np.outer(problem.scales, problem.scales))[1][
+        :, 0
+    ]
     place = problem.names.index(name)
     present = float(problem.window.reference[-1])
-    levels = np.linspace(*(plant.output.set_points or plant.output.span), _SUGGESTION.levels)
+    levels = np.linspace(
+        *(plant.output.set_points or plant.output.span), _SUGGESTION.levels
+    )
     least_step = _SUGGESTION.least_step * (levels[1] - levels[0])
     steps: list[_StepGain] = []
     for level in sorted(levels.tolist(), key=lambda level: abs(level - present)):
@@ -91,10 +97,17 @@ def suggest_step(problem: Problem, values: FloatArray, fisher: FloatArray, name:
                 steps.append(_StepGain(level, of_direction, of_name))
     best = max((step.of_direction for step in steps), default=0.0)
     for step in steps:
-        if step.of_direction >= _SUGGESTION.nearly * best and step.of_name >= _SUGGESTION.worth:
-            times = f"{step.of_name:.0f}" if step.of_name >= 2.5 else f"{step.of_name:.1f}"
+        if (
+            step.of_direction >= _SUGGESTION.nearly * best
+            and step.of_name >= _SUGGESTION.worth
+        ):
+            times = (
+                f"{step.of_name:.0f}" if step.of_name >= 2.5 else f"{step.of_name:.1f}"
+            )
             way = f"{present:g} to {step.level:.4g} {plant.output.unit}"
-            return f"a step from {way} would determine {name} about {times} times better"
+            return (
+                f"a step from {way} would determine {name} about {times} times better"
+            )
     return ""
 
 
@@ -109,11 +122,15 @@ class _StepGain(NamedTuple):
     """The parameter in question."""
 
 
-def _after_step(problem: Problem, values: FloatArray, level: float) -> FloatArray | None:
+def _after_step(
+    problem: Problem, values: FloatArray, level: float
+) -> FloatArray | None:
     """Scaled covariance from the next window; None if the output does not reach the set-point."""
     window = problem.window
     noise = problem.base.model.plant.output.noise
-    steps = np.flatnonzero(np.abs(np.diff(window.reference)) >= _SUGGESTION.moved * noise)
+    steps = np.flatnonzero(
+        np.abs(np.diff(window.reference)) >= _SUGGESTION.moved * noise
+    )
     first = max(int(steps[-1]) + 1 - _SUGGESTION.lead, 0) if steps.size else 0
     last_part = window.part(window.first + first, window.last)
     ahead = Window(
@@ -160,11 +177,16 @@ class Identified:
 def unidentified(problem: Problem, found: Estimate) -> Identified:
     """The result for an estimate that does not explain the window: its parameters mean nothing."""
     of_all = uncertainty(problem, found)
-    return Identified(found, of_all, of_all, intervals=np.full((len(problem.names), 2), np.nan))
+    return Identified(
+        found, of_all, of_all, intervals=np.full((len(problem.names), 2), np.nan)
+    )
 
 
 def identify(
-    problem: Problem, found: Estimate, standing: Parameters, stands: Callable[[Uncertainty, FloatArray], bool]
+    problem: Problem,
+    found: Estimate,
+    standing: Parameters,
+    stands: Callable[[Uncertainty, FloatArray], bool],
 ) -> Identified:
     """Find the parameters that the window determines.
 
@@ -175,7 +197,9 @@ def identify(
     of_all = uncertainty(problem, found)
     intervals = profile_intervals(problem, found.values, of_all.covariance)
     widths = _widths(problem, intervals)
-    believed = tuple(n for n, width in zip(problem.names, widths, strict=True) if width <= 1.0)
+    believed = tuple(
+        n for n, width in zip(problem.names, widths, strict=True) if width <= 1.0
+    )
     final = found
     fixed = ""
     if not stands(of_all, found.values):
@@ -197,7 +221,9 @@ def identify(
         kept=fixed,
         intervals=intervals,
         believed=believed,
-        determined=_sentence_on(problem, final.values, of_all.covariance, intervals, believed),
+        determined=_sentence_on(
+            problem, final.values, of_all.covariance, intervals, believed
+        ),
         suggestion=suggestion,
     )
 
@@ -218,7 +244,9 @@ def _widths(problem: Problem, intervals: FloatArray) -> list[float]:
     """Width of each interval relative to the limit of belief, infinite if the data leave a side open."""
     widths = []
     for unknown, (low, high) in zip(problem.unknowns, intervals.tolist(), strict=True):
-        is_closed = math.isfinite(low) and math.isfinite(high) and low > unknown.bounds[0]
+        is_closed = (
+            math.isfinite(low) and math.isfinite(high) and low > unknown.bounds[0]
+        )
         if not is_closed:
             widths.append(math.inf)
         elif unknown.relative:
@@ -228,7 +256,9 @@ def _widths(problem: Problem, intervals: FloatArray) -> list[float]:
     return widths
 
 
-def _keep(problem: Problem, found: Estimate, name: str, interval: FloatArray, standing: float) -> Estimate:
+def _keep(
+    problem: Problem, found: Estimate, name: str, interval: FloatArray, standing: float
+) -> Estimate:
     """The fit with one parameter kept as near to its previous value as its interval (low, high) allows."""
     place = problem.names.index(name)
     low, high = np.clip(interval, *problem.unknowns[place].bounds)
@@ -238,7 +268,9 @@ def _keep(problem: Problem, found: Estimate, name: str, interval: FloatArray, st
         free=tuple(n for n in problem.free if n != name),
         base=problem.experiment.parameters_at(found.values).replace(**{name: value}),
     )
-    refit = solve(reduced, [np.delete(found.values, place), *starts_for(reduced, reduced.base)])
+    refit = solve(
+        reduced, [np.delete(found.values, place), *starts_for(reduced, reduced.base)]
+    )
     return Estimate(problem, np.insert(refit.values, place, value), refit.converged)
 
 
@@ -271,7 +303,11 @@ def _sentence_on(
 
 def _best_ratio(problem: Problem, values: FloatArray, covariance: FloatArray) -> str:
     """The best known ratio of two parameters, if known far better than each alone."""
-    places = [i for i, unknown in enumerate(problem.unknowns) if unknown.relative and values[i] > 0.0]
+    places = [
+        i
+        for i, unknown in enumerate(problem.unknowns)
+        if unknown.relative and values[i] > 0.0
+    ]
     best = math.inf
     text = ""
     for i, j in combinations(places, 2):
@@ -296,4 +332,6 @@ def _range(interval: FloatArray) -> str:
 
 
 def _word_list(words: list[str]) -> str:
-    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]
+    return (
+        " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]
+    )

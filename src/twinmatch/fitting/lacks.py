@@ -35,7 +35,9 @@ LEFT: Final = 3.0
 """Mean squared weighted residual above which a driven twin may lack something."""
 _UNKNOWN: Final = 50.0
 """Time constant of a plant that only integrates, sampling periods."""
-_NAMES: Final = {one.__name__: one for one in (DeadTime, Parameter, State, dry_friction, replace)}
+_NAMES: Final = {
+    one.__name__: one for one in (DeadTime, Parameter, State, dry_friction, replace)
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +66,9 @@ class _Effect(NamedTuple):
 
 
 _STATE = "State(unit={unit!r}, span={span}, start_bounds={span})\n"
-_TIME = "Parameter(unit='s', default={usual}, bounds=({short}, {long}), positive=True)\n"
+_TIME = (
+    "Parameter(unit='s', default={usual}, bounds=({short}, {long}), positive=True)\n"
+)
 _RATE = "Parameter(unit='1/s', default={rate}, bounds=(0.0, {fast}), least=0.0)\n"
 _STEEP = "Parameter(unit={rate_unit!r}, default=0.0, bounds=({low}, {steep}), least={low}, scale={steep})\n"
 _OF_A_DRIVE: Final = (
@@ -194,7 +198,12 @@ def lack_of(
             least = charge
             first_added = grown.model.structure.free[len(structure.free)]
             title = f"{grown.effect.title} of about {_size_in_words(parameters, first_added)}"
-            best = Lack(title, 1.0 - left_by_effect / left, _lines(base.model, grown), grown.model)
+            best = Lack(
+                title,
+                1.0 - left_by_effect / left,
+                _lines(base.model, grown),
+                grown.model,
+            )
     return best
 
 
@@ -226,14 +235,21 @@ def _effects(model: Model, period: float) -> Iterator[tuple[_Effect, dict[str, A
     moved_by = {str(state): _symbols([rate]) for state, rate in written.rates.items()}
     idle = plant.disturbances.keys() - _symbols([*written.rates.values(), *shown])
     for name in model.states:
-        drives = [drive for drive in plant.drives.values() if drive.name in moved_by[name]]
+        drives = [
+            drive for drive in plant.drives.values() if drive.name in moved_by[name]
+        ]
         if drives or name in _symbols(shown):
             state = plant.states[name]
             yield from _effects_on_state(state, drives, slow, period)
             for column in sorted(idle):
                 middle = plant.disturbances[column].default
                 per = (state.span[1] - state.span[0]) / slow / max(abs(middle), 1.0)
-                words = {"column": column, "middle": middle, "per": per, "wide": 1e3 * per}
+                words = {
+                    "column": column,
+                    "middle": middle,
+                    "per": per,
+                    "wide": 1e3 * per,
+                }
                 yield _COLUMN, _words_at(state, slow, period) | words
 
 
@@ -245,14 +261,19 @@ def _effects_on_state(
         yield effect, _words_at(state, slow, period)
     low, high = state.span
     for drive in drives:
-        words = _words_at(state, slow, period) | {"drive": drive.name, "rest": drive.rest}
+        words = _words_at(state, slow, period) | {
+            "drive": drive.name,
+            "rest": drive.rest,
+        }
         for effect in (_FED, _BOTH):
             yield effect, words
         if low < 0.0 < high:
             yield _FRICTION, words
 
 
-def _words_at(declared: State | Drive | Output, slow: float, period: float) -> dict[str, Any]:
+def _words_at(
+    declared: State | Drive | Output, slow: float, period: float
+) -> dict[str, Any]:
     """What the lines of an effect need at its place, for a plant with a time constant, s."""
     low, high = declared.limits if isinstance(declared, Drive) else declared.span
     numbers = {
@@ -266,7 +287,9 @@ def _words_at(declared: State | Drive | Output, slow: float, period: float) -> d
         "steep": 10 * (high - low) / slow,
         "soft": 1e-3 * (high - low),
     }
-    words: dict[str, Any] = {name: float(f"{value:.3g}") for name, value in numbers.items()}
+    words: dict[str, Any] = {
+        name: float(f"{value:.3g}") for name, value in numbers.items()
+    }
     words |= {"at": declared.name, "unit": declared.unit, "span": (low, high)}
     words["rate_unit"] = f"{declared.unit or 1}/s"
     return words
@@ -274,7 +297,9 @@ def _words_at(declared: State | Drive | Output, slow: float, period: float) -> d
 
 def _symbols(expressions: Iterable[Any]) -> set[str]:
     """Names in some expressions."""
-    return {str(symbol) for e in expressions for symbol in getattr(e, "free_symbols", ())}
+    return {
+        str(symbol) for e in expressions for symbol in getattr(e, "free_symbols", ())
+    }
 
 
 def _with_effect(model: Model, effect: _Effect, words: dict[str, Any]) -> Model:
@@ -286,16 +311,18 @@ def _with_effect(model: Model, effect: _Effect, words: dict[str, Any]) -> Model:
     plant = model.plant
     structure = model.structure
     declared: dict[str, Any] = {}
-    exec(effect.declared, dict(_NAMES), declared)  # noqa: S102 — lines of this module
+    exec(effect.declared, dict(_NAMES), declared)  # noqa: S102
     taken_names = declared.keys() & vars(plant).keys()
     if taken_names:
-        raise TwinmatchError(f"plant {plant.name}: it has {', '.join(taken_names)} already")
+        raise TwinmatchError(
+            f"plant {plant.name}: it has {', '.join(taken_names)} already"
+        )
 
     def equations(self: Any, parts: frozenset[str]) -> Any:
         plain = plant.equations(self, parts)
         extended = replace(plain, rates=dict(plain.rates), start=dict(plain.start))
         local = {**_NAMES, "self": self, "held": extended}
-        exec(effect.equations, local)  # noqa: S102 — lines of this module
+        exec(effect.equations, local)  # noqa: S102
         return local["held"]
 
     free = [name for name, value in declared.items() if isinstance(value, Parameter)]
@@ -312,10 +339,17 @@ def _with_effect(model: Model, effect: _Effect, words: dict[str, Any]) -> Model:
         free_starts=(*structure.free_starts, *hidden),
         starts=tuple(starts),
     )
-    body = declared | {"equations": equations, "structures": {model.structure_name: richer}, "followed": ""}
+    body = declared | {
+        "equations": equations,
+        "structures": {model.structure_name: richer},
+        "followed": "",
+    }
     body |= {"__module__": __name__, "__qualname__": f"{plant.__qualname__} {effect}"}
     plant_class: Any = types.new_class(
-        plant.__name__, (plant,), {"name": plant.name}, lambda namespace: namespace.update(body)
+        plant.__name__,
+        (plant,),
+        {"name": plant.name},
+        lambda namespace: namespace.update(body),
     )
     return plant_class.model()  # type: ignore[no-any-return]
 

@@ -14,11 +14,32 @@ import numpy as np
 from twinmatch.dynamics import FROM_PLANT_FILE, Law, LoopLaw, Parameters
 from twinmatch.dynamics.movement import effect_of
 from twinmatch.errors import TwinmatchError
-from twinmatch.fitting.estimation import Estimate, Uncertainty, on_bounds, solve, starts_for
+from twinmatch.fitting.estimation import (
+    Estimate,
+    Uncertainty,
+    on_bounds,
+    solve,
+    starts_for,
+)
 from twinmatch.fitting.excitation import movement_by_inputs, why_not_moved
-from twinmatch.fitting.gate import FitEvidence, GateLimits, Status, first_excited, judge, undetermined
+from twinmatch.fitting.gate import (
+    FitEvidence,
+    GateLimits,
+    Status,
+    first_excited,
+    judge,
+    undetermined,
+)
 from twinmatch.fitting.identifiability import Identified, identify, unidentified
-from twinmatch.fitting.problem import LASTING, Bounds, Noise, Prior, Problem, checked_free, checked_law
+from twinmatch.fitting.problem import (
+    LASTING,
+    Bounds,
+    Noise,
+    Prior,
+    Problem,
+    checked_free,
+    checked_law,
+)
 from twinmatch.requirements import Among, Sized
 from twinmatch.signals import FloatArray, Window
 
@@ -87,9 +108,9 @@ class Match:
     ] = field(default_factory=lambda: np.empty((0, 0)), metadata={"columns": -1})
     """Eigenvectors of the information in units of the parameters' scales, shape (n, n): column j belongs
     to `eigenvalues[j]`, so column 0 is the combination of parameters that the window determines least."""
-    intervals: Annotated[FloatArray, Sized("free", "its free parameters", rows=2, may_be_empty=True)] = field(
-        default_factory=lambda: np.empty((0, 2)), metadata={"columns": 2}
-    )
+    intervals: Annotated[
+        FloatArray, Sized("free", "its free parameters", rows=2, may_be_empty=True)
+    ] = field(default_factory=lambda: np.empty((0, 2)), metadata={"columns": 2})
     """Profile-likelihood interval (95 %) of each parameter, in its own unit, shape (n, 2); an end is
     infinite where a bound of the search cuts the interval off, zero where zero is a physical limit, and NaN
     if no fit was made or it does not explain the window."""
@@ -118,7 +139,11 @@ class Match:
 
 
 def without_fit(
-    window: Window, free: tuple[str, ...], start: Parameters, status: Status, reason: str
+    window: Window,
+    free: tuple[str, ...],
+    start: Parameters,
+    status: Status,
+    reason: str,
 ) -> Match:
     """A match without fit, with the status that says why; its unknown initial states are NaN."""
     n = len(free)
@@ -188,13 +213,17 @@ def match(
     limits = limits or GateLimits()
     law = checked_law(model, window, law)
     names = checked_free(model, free)
-    problem = Problem(window, names, start, noise or Noise.of(model.plant), law, bounds, prior)
+    problem = Problem(
+        window, names, start, noise or Noise.of(model.plant), law, bounds, prior
+    )
     if window.share_seen < limits.least_seen:
         reason = (
             f"only {window.share_seen:.0%} of the window's samples were received; "
             f"a match needs {limits.least_seen:.0%}"
         )
-        return without_fit(window, problem.names, start, Status.DID_NOT_CONVERGE, reason)
+        return without_fit(
+            window, problem.names, start, Status.DID_NOT_CONVERGE, reason
+        )
     split, missing = _split(problem, min_step, limits)
     if missing:
         return without_fit(window, problem.names, start, Status.NO_EXCITATION, missing)
@@ -216,11 +245,18 @@ def explaining(
         best = usable_fit(window, start, noise, law)
         if best is not None and best.chi2 <= GateLimits().most(law):
             independent = best.residuals.size / LASTING
-            charged.append((independent * best.chi2 + best.values.size * math.log(independent), start))
+            charged.append(
+                (
+                    independent * best.chi2 + best.values.size * math.log(independent),
+                    start,
+                )
+            )
     return [start for _, start in sorted(charged, key=itemgetter(0))]
 
 
-def usable_fit(window: Window, start: Parameters, noise: Noise, law: Law | None) -> Estimate | None:
+def usable_fit(
+    window: Window, start: Parameters, noise: Noise, law: Law | None
+) -> Estimate | None:
     """The best fit in the structure of a start; None if none converges within the bounds."""
     problem = Problem(window, checked_free(start.model, None), start, noise, law)
     try:
@@ -230,15 +266,24 @@ def usable_fit(window: Window, start: Parameters, noise: Noise, law: Law | None)
     return best if best.converged and not on_bounds(problem, best.values) else None
 
 
-def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tuple[int, str]:
+def _split(
+    problem: Problem, min_step: float | None, limits: GateLimits
+) -> tuple[int, str]:
     """Number of samples for the test fit, or the reason why none can be made."""
     window = problem.window
     plant = problem.base.model.plant
     outputs = [*plant.outputs.values()]
-    least = np.array([_SHOWS * (output.least_step if min_step is None else min_step) for output in outputs])
+    least = np.array(
+        [
+            _SHOWS * (output.least_step if min_step is None else min_step)
+            for output in outputs
+        ]
+    )
     if problem.law is None:
         signal = "input"
-        excited = _first_moved(movement_by_inputs(window, effect_of(plant, window.period)), least)
+        excited = _first_moved(
+            movement_by_inputs(window, effect_of(plant, window.period)), least
+        )
     else:
         signal = "set-point"
         outputs = outputs[: window.references.shape[1]]
@@ -246,11 +291,24 @@ def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tupl
         excited = _first_moved(window.references, least)
     if excited is None:
         if problem.law is None and np.ptp(window.inputs, axis=0).any():
-            return 0, f"{why_not_moved(window, plant, least)}, in the window's {len(window)} samples"
-        steps = " or ".join(f"{step:g} {output.unit}" for step, output in zip(least, outputs, strict=True))
-        how_far = "so far that the output would show it, " if problem.law is None else ""
-        return 0, f"the {signal} did not move {how_far}by {steps} within the window's {len(window)} samples"
-    split = max(int((1.0 - limits.held_back) * len(window)), excited + limits.least_samples)
+            return (
+                0,
+                f"{why_not_moved(window, plant, least)}, in the window's {len(window)} samples",
+            )
+        steps = " or ".join(
+            f"{step:g} {output.unit}"
+            for step, output in zip(least, outputs, strict=True)
+        )
+        how_far = (
+            "so far that the output would show it, " if problem.law is None else ""
+        )
+        return (
+            0,
+            f"the {signal} did not move {how_far}by {steps} within the window's {len(window)} samples",
+        )
+    split = max(
+        int((1.0 - limits.held_back) * len(window)), excited + limits.least_samples
+    )
     if len(window) - split < limits.least_samples:
         return 0, (
             f"the {signal} moved at sample {window.first + excited}, too near to the window's end at "
@@ -261,18 +319,26 @@ def _split(problem: Problem, min_step: float | None, limits: GateLimits) -> tupl
 
 def _first_moved(moved: FloatArray, least: FloatArray) -> int | None:
     """Position of the first sample at which a signal, shape (N, o), has moved far enough, or None."""
-    places = [first_excited(column, step) for column, step in zip(moved.T, least, strict=True)]
+    places = [
+        first_excited(column, step) for column, step in zip(moved.T, least, strict=True)
+    ]
     return min((place for place in places if place is not None), default=None)
 
 
 def not_determined(
-    window: Window, start: Parameters, free: Iterable[str], noise: Noise, law: Law | None
+    window: Window,
+    start: Parameters,
+    free: Iterable[str],
+    noise: Noise,
+    law: Law | None,
 ) -> str:
     """In words, which parameters a window does not determine yet, judged by the twin's tangents at the start
     of a search; empty if it determines all."""
     problem = Problem(window, checked_free(start.model, free), start, noise, law)
     try:
-        fisher = problem.evaluate(problem.values_of(start)).hessian * np.outer(problem.scales, problem.scales)
+        fisher = problem.evaluate(problem.values_of(start)).hessian * np.outer(
+            problem.scales, problem.scales
+        )
         variances = LASTING * np.diag(np.linalg.inv(fisher))
     except (TwinmatchError, np.linalg.LinAlgError):
         return "it determines nothing yet"
@@ -281,7 +347,8 @@ def not_determined(
     for unknown, variance in zip(problem.unknowns, variances.tolist(), strict=True):
         if unknown.initial:
             continue
-        error = math.sqrt(variance) if variance > 0 else math.inf  # rounding of a singular one
+        # rounding of a singular one
+        error = math.sqrt(variance) if variance > 0 else math.inf
         if error <= _KNOWN:
             determined.append(f"{unknown.name} to {error:.1%}")
         else:
@@ -294,9 +361,13 @@ def not_determined(
     return f"it does not determine {still} yet"
 
 
-def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimits) -> Match:
+def _with_fit(
+    problem: Problem, split: int, rival: Parameters, limits: GateLimits
+) -> Match:
     window = problem.window
-    fitted_part = replace(problem, window=window.part(window.first, window.first + split - 1))
+    fitted_part = replace(
+        problem, window=window.part(window.first, window.first + split - 1)
+    )
     starts = starts_for(problem, problem.base)
     test = solve(fitted_part, starts)
     best = solve(problem, [test.values, *starts])
@@ -308,7 +379,11 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimit
         loose = undetermined(problem.unknowns, values, errors, of_all.condition, limits)
         return not loose and not on_bounds(problem, values)
 
-    identified = identify(problem, best, rival, stands) if explained else unidentified(problem, best)
+    identified = (
+        identify(problem, best, rival, stands)
+        if explained
+        else unidentified(problem, best)
+    )
     first_tested = split - (len(window) - problem.measured.shape[1])
     tested = problem.residuals(test.values)[:, first_tested:]
     standing = _residuals_of(problem, fitted_part, rival)[:, first_tested:]
@@ -316,7 +391,9 @@ def _with_fit(problem: Problem, split: int, rival: Parameters, limits: GateLimit
     of_all = identified.known
     fit = _fit(problem, identified.estimate.residuals)
     free = [i for i, name in enumerate(problem.names) if name != identified.kept]
-    bounds_hit = tuple(n for n in on_bounds(problem, final.values) if n != identified.kept)
+    bounds_hit = tuple(
+        n for n in on_bounds(problem, final.values) if n != identified.kept
+    )
     evidence = FitEvidence(
         free=tuple(problem.unknowns[i] for i in free),
         values=final.values[free],
@@ -375,10 +452,14 @@ def _fit(problem: Problem, residuals: FloatArray) -> Fit:
     """NRMSE over the last samples of the window, as many as there are residuals."""
     count = residuals.shape[1]
     figures = []
-    for measured, residual, weight in zip(problem.measured, residuals, problem.weights[:, 0], strict=True):
+    for measured, residual, weight in zip(
+        problem.measured, residuals, problem.weights[:, 0], strict=True
+    ):
         values = measured[-count:]
         spread = float(np.linalg.norm(values - np.mean(values)))
-        fit = 1.0 - np.linalg.norm(residual) / weight / spread if spread > 0 else math.nan
+        fit = (
+            1.0 - np.linalg.norm(residual) / weight / spread if spread > 0 else math.nan
+        )
         figures.append(float(fit))
     n_outputs = len(problem.base.model.plant.outputs)
     return Fit(_mean_or_nan(figures[:n_outputs]), _mean_or_nan(figures[n_outputs:]))

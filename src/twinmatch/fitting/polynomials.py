@@ -61,7 +61,11 @@ def fir_into(numerator: FloatArray, x: FloatArray, out: FloatArray) -> None:
     x5 = x
     later = out[5:]
     for t in range(later.size):
-        later[t] = (c0 * x0[t] + c1 * x1[t]) + (c2 * x2[t] + c3 * x3[t]) + (c4 * x4[t] + c5 * x5[t])
+        later[t] = (
+            (c0 * x0[t] + c1 * x1[t])
+            + (c2 * x2[t] + c3 * x3[t])
+            + (c4 * x4[t] + c5 * x5[t])
+        )
 
 
 @compiled(inside=True)
@@ -86,7 +90,8 @@ def all_pole_into(denominator: FloatArray, x: FloatArray, out: FloatArray) -> No
     for start in range(0, x.size, REACH):
         if abs(o1) + abs(o2) + abs(o3) + abs(o4) + abs(o5) < VANISHED:
             o1 = o2 = o3 = o4 = o5 = 0.0
-        for t in range(start, min(start + REACH, x.size)):  # the newest output last: a short dependency
+        for t in range(start, min(start + REACH, x.size)):
+            # the newest output last: a short dependency
             total = (x[t] - (a5 * o5 + a4 * o4)) - (a3 * o3 + a2 * o2) - a1 * o1
             out[t] = total
             o5 = o4
@@ -124,7 +129,9 @@ def dot(a: FloatArray, b: FloatArray) -> float:
 
 
 @compiled
-def continue_outputs(B: FloatArray, F: FloatArray, u: FloatArray, outputs: FloatArray) -> FloatArray:
+def continue_outputs(
+    B: FloatArray, F: FloatArray, u: FloatArray, outputs: FloatArray
+) -> FloatArray:
     """F w = B u from the first sample after `outputs`, which are kept; shape (N,).
 
     Inputs and outputs before the first sample count as zero.
@@ -245,7 +252,7 @@ def complex_roots(polynomial: FloatArray) -> ComplexArray:
 @compiled(inside=True)
 def is_finite(values: FloatArray) -> bool:
     """Whether every value is a number."""
-    for i in range(values.size):  # noqa: SIM110 (no generators in kernels)
+    for i in range(values.size):  # noqa: SIM110
         if not np.isfinite(values[i]):
             return False
     return True

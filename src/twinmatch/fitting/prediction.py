@@ -36,7 +36,13 @@ from twinmatch.fitting.delayed import (
     substitute_back,
     triangularise,
 )
-from twinmatch.fitting.polynomials import LARGEST_ROOT, all_pole_into, dot, fir_into, stabilise
+from twinmatch.fitting.polynomials import (
+    LARGEST_ROOT,
+    all_pole_into,
+    dot,
+    fir_into,
+    stabilise,
+)
 from twinmatch.signals import FloatArray
 
 INITIALS = ("estimate", "zero")
@@ -65,7 +71,9 @@ class Polynomials(NamedTuple):
 
 
 @compiled
-def errors_of(u: FloatArray, y: FloatArray, model: Polynomials, m: FloatArray) -> FloatArray:
+def errors_of(
+    u: FloatArray, y: FloatArray, model: Polynomials, m: FloatArray
+) -> FloatArray:
     """Prediction errors for the given initial conditions m of the predictor; shape (N,)."""
     filtered = np.empty(y.size)
     driven = np.empty(y.size)
@@ -83,7 +91,9 @@ def errors_of(u: FloatArray, y: FloatArray, model: Polynomials, m: FloatArray) -
 
 
 @compiled
-def smallest_errors(u: FloatArray, y: FloatArray, model: Polynomials, count: int) -> FloatArray:
+def smallest_errors(
+    u: FloatArray, y: FloatArray, model: Polynomials, count: int
+) -> FloatArray:
     """Prediction errors for the best `count` initial conditions of the predictor; shape (N,)."""
     signals = np.zeros((2, count + u.size))
     impulse = signals[0, count:]
@@ -127,7 +137,9 @@ class Place(NamedTuple):
     """Σ e²"""
 
 
-def task_of(u: FloatArray, y: FloatArray, order: Order, initial: str = "estimate") -> Task:
+def task_of(
+    u: FloatArray, y: FloatArray, order: Order, initial: str = "estimate"
+) -> Task:
     """The sum of squared prediction errors of one window as a function of θ = (c, d, f).
 
     Raises:
@@ -321,8 +333,16 @@ def curvature(task: Task, place: Place, R: FloatArray) -> FloatArray:
                 row = corners[first_group] + i
                 column = corners[second_group] + j
                 if i == 0 or j == spans[second_group, COUNT] - 1:
-                    delayed = pad - spans[first_group, DELAY] - spans[second_group, DELAY] - i - j
-                    S[row, column] = second.factor * dot(filtered, signals[second.signal, delayed:])
+                    delayed = (
+                        pad
+                        - spans[first_group, DELAY]
+                        - spans[second_group, DELAY]
+                        - i
+                        - j
+                    )
+                    S[row, column] = second.factor * dot(
+                        filtered, signals[second.signal, delayed:]
+                    )
                 else:
                     S[row, column] = S[row - 1, column + 1]
     return eliminate_linear(S, R, corners[BY_C])
@@ -356,7 +376,11 @@ def eliminate_linear(S: FloatArray, R: FloatArray, linear: int) -> FloatArray:
         for b in range(a, size):
             total = S[linear + a, linear + b]
             for k in range(linear):
-                total -= K[k, a] * K[k, b] + R[k, linear + a] * K[k, b] + K[k, a] * R[k, linear + b]
+                total -= (
+                    K[k, a] * K[k, b]
+                    + R[k, linear + a] * K[k, b]
+                    + K[k, a] * R[k, linear + b]
+                )
             for k in range(a + 1):
                 total += R[linear + k, linear + a] * R[linear + k, linear + b]
             H[a, b] = total

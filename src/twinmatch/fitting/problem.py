@@ -53,7 +53,9 @@ def known_of(prior: Prior, windows: int = 1) -> dict[str, Known]:
     """The prior of a search, with its weight divided among the windows."""
     known = {}
     for name, expectation in prior.items():
-        known[name] = Known(expectation.mean, LASTING / (windows * expectation.deviation**2))
+        known[name] = Known(
+            expectation.mean, LASTING / (windows * expectation.deviation**2)
+        )
     return known
 
 
@@ -85,7 +87,9 @@ def checked_free(model: Model, free: Iterable[str] | None) -> tuple[str, ...]:
             f"matching: {unknown[0]!r} cannot be free in {model.title}; choose from {', '.join(model.names)}"
         )
     if not names or len(set(names)) != len(names):
-        raise FittingError(f"matching: free is {names}; give at least one parameter and none twice")
+        raise FittingError(
+            f"matching: free is {names}; give at least one parameter and none twice"
+        )
     return tuple(name for name in model.names if name in names)
 
 
@@ -116,7 +120,9 @@ def unknown_parameters(
     for name in names:
         parameter = model.declared[name]
         limits = given_bounds.get(name, parameter.bounds)
-        unknowns.append(Unknown(name, parameter.unit, limits, parameter.scale, parameter.relative))
+        unknowns.append(
+            Unknown(name, parameter.unit, limits, parameter.scale, parameter.relative)
+        )
     return tuple(unknowns)
 
 
@@ -126,7 +132,9 @@ def unknown_starts(model: Model, bounds: Bounds | None = None) -> tuple[Unknown,
     for name in model.structure.free_starts:
         state = model.declared_states[model.states.index(name)]
         limits = (bounds or {}).get(name) or state.start_bounds or state.span
-        unknowns.append(Unknown(name, state.unit, limits, state.scale, relative=False, initial=True))
+        unknowns.append(
+            Unknown(name, state.unit, limits, state.scale, relative=False, initial=True)
+        )
     return tuple(unknowns)
 
 
@@ -135,7 +143,9 @@ def ended_on_bounds(unknowns: Sequence[Unknown], values: FloatArray) -> tuple[st
     lower, upper = np.array([unknown.bounds for unknown in unknowns]).T
     unit = np.minimum(upper - lower, [unknown.scale for unknown in unknowns])
     near = np.minimum(values - lower, upper - values) <= _ON_BOUND * unit
-    return tuple(unknown.name for unknown, hit in zip(unknowns, near, strict=True) if hit)
+    return tuple(
+        unknown.name for unknown, hit in zip(unknowns, near, strict=True) if hit
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +166,9 @@ class Noise:
             values = tuple(np.atleast_1d(getattr(self, name)).tolist())
             for value in values:
                 if not (math.isfinite(value) and value > 0):
-                    raise FittingError(f"noise: {name[:-1]} is {value}; it must be finite and positive")
+                    raise FittingError(
+                        f"noise: {name[:-1]} is {value}; it must be finite and positive"
+                    )
             object.__setattr__(self, name, values)
 
     @classmethod
@@ -183,7 +195,9 @@ class Noise:
         return float(only("input", np.atleast_1d(self.inputs)))
 
 
-def checked_law(model: Model, window: Window, law: LoopLaw = FROM_PLANT_FILE) -> Law | None:
+def checked_law(
+    model: Model, window: Window, law: LoopLaw = FROM_PLANT_FILE
+) -> Law | None:
     """The controller of the closed-loop twin; None if the loop is not known.
 
     Raises:
@@ -235,7 +249,9 @@ class Problem:
     def unknowns(self) -> tuple[Unknown, ...]:
         """The unknowns, in the order of every array of values: parameters, then initial states."""
         model = self.base.model
-        return unknown_parameters(model, self.free, self.bounds) + unknown_starts(model, self.bounds)
+        return unknown_parameters(model, self.free, self.bounds) + unknown_starts(
+            model, self.bounds
+        )
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -267,7 +283,9 @@ class Problem:
             free_starts=self.base.model.structure.free_starts,
             law=self.law,
             weights=tuple(1.0 / self.noise.all),
-            beforehand=known_of({name: self.prior[name] for name in self.free if name in self.prior}),
+            beforehand=known_of(
+                {name: self.prior[name] for name in self.free if name in self.prior}
+            ),
         )
 
     @property
@@ -285,7 +303,11 @@ class Problem:
     def seen(self) -> FloatArray:
         """1 for samples that were received, 0 for stand-ins, shape (N − 2,)."""
         marks = self.window.seen
-        return np.ones(len(self.window) - SKIPPED) if marks is None else marks[SKIPPED:].astype(np.float64)
+        return (
+            np.ones(len(self.window) - SKIPPED)
+            if marks is None
+            else marks[SKIPPED:].astype(np.float64)
+        )
 
     @property
     def measured(self) -> FloatArray:
@@ -299,8 +321,12 @@ class Problem:
     def residuals(self, values: FloatArray) -> FloatArray:
         """Measured minus simulated in units of the noise, shape (compared, N − 2)."""
         response = self.experiment.simulate(values)
-        simulated = np.concatenate([response.outputs, response.inputs], axis=1).T[: self.compared]
-        return np.asarray((self.measured - simulated) * (self.weights * self.seen), dtype=np.float64)
+        simulated = np.concatenate([response.outputs, response.inputs], axis=1).T[
+            : self.compared
+        ]
+        return np.asarray(
+            (self.measured - simulated) * (self.weights * self.seen), dtype=np.float64
+        )
 
     def evaluate(self, values: FloatArray) -> Evaluation:
         """The sum of squares at some values, with its derivatives."""
@@ -313,7 +339,10 @@ class Problem:
         noise = self.noise.all
         derivatives = tangents.by * self.seen[:, None] * -(1.0 / noise)[:, None, None]
         return noise_scores(
-            self.experiment, tangents, derivatives, noise[: tangents.outputs.shape[1], None] / noise
+            self.experiment,
+            tangents,
+            derivatives,
+            noise[: tangents.outputs.shape[1], None] / noise,
         )
 
     def mean_square(self, residuals: FloatArray) -> float:
@@ -321,6 +350,10 @@ class Problem:
         counted = float(np.mean(self.seen[-residuals.shape[1] :]))
         return float(np.mean(np.square(residuals))) / counted if counted else math.nan
 
-    def descend(self, start: FloatArray, most_evaluations: int, found: Descended | None = None) -> Descended:
+    def descend(
+        self, start: FloatArray, most_evaluations: int, found: Descended | None = None
+    ) -> Descended:
         """Least squares from one start inside the bounds."""
-        return self.experiment.descend(start, self.lower, self.upper, self.scales, most_evaluations, found)
+        return self.experiment.descend(
+            start, self.lower, self.upper, self.scales, most_evaluations, found
+        )

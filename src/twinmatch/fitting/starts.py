@@ -25,7 +25,13 @@ from twinmatch.compiled import compiled
 from twinmatch.dynamics.kernels import copy_into
 from twinmatch.fitting.data import Order
 from twinmatch.fitting.delayed import SLACK, Spans, cholesky, correlate, solve_triangle
-from twinmatch.fitting.polynomials import LARGEST_ROOT, all_pole_into, fir, fir_into, stabilise
+from twinmatch.fitting.polynomials import (
+    LARGEST_ROOT,
+    all_pole_into,
+    fir,
+    fir_into,
+    stabilise,
+)
 from twinmatch.fitting.prediction import Polynomials, errors_of
 from twinmatch.signals import FloatArray
 
@@ -58,7 +64,9 @@ def start_values(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> Flo
     skip = whitener.size - 1
     for route in range(2):
         if route == 0:
-            F = steiglitz_mcbride(fir(whitener, u)[skip:], fir(whitener, y)[skip:], counts)
+            F = steiglitz_mcbride(
+                fir(whitener, u)[skip:], fir(whitener, y)[skip:], counts
+            )
         else:
             F = steiglitz_mcbride(u, y, counts)
         C, D = noise_model(u, y, F, counts)
@@ -106,7 +114,9 @@ def long_arx(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> FloatAr
 
 
 @compiled(inside=True)
-def arx_denominator(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
+def arx_denominator(
+    u: FloatArray, y: FloatArray, counts: NDArray[np.int64]
+) -> FloatArray:
     """The denominator of the ARX model of the order of F."""
     nb, _, _, nf, nk = counts
     if nf == 0:
@@ -118,7 +128,9 @@ def arx_denominator(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> 
 
 
 @compiled(inside=True)
-def steiglitz_mcbride(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
+def steiglitz_mcbride(
+    u: FloatArray, y: FloatArray, counts: NDArray[np.int64]
+) -> FloatArray:
     """F of the output-error model by iterated prefiltering, with estimated initial conditions."""
     nb, _, _, nf, nk = counts
     F = np.ones(1 + nf)
@@ -184,7 +196,9 @@ def hannan_rissanen(v: FloatArray, nc: int, nd: int) -> tuple[FloatArray, FloatA
     signals[1, pad : pad + length] = 0.0
     spans = np.array(((0, 1, nd), (1, 1, nc), (0, 0, 1)))
     coefficients = regression(signals, pad + length + nc, spans)
-    return stabilise(monic(-coefficients[nd:]), 0.98, 1.0), stabilise(monic(coefficients[:nd]), 0.999, 1.0)
+    return stabilise(monic(-coefficients[nd:]), 0.98, 1.0), stabilise(
+        monic(coefficients[:nd]), 0.999, 1.0
+    )
 
 
 class Hops:
@@ -214,10 +228,14 @@ class Hops:
             # A pair of C that nearly cancels a pair of D: a narrow band in which the noise is coloured.
             angle = self._angle()
             magnitude = self._magnitude(-2.5, -1.0)
-            wider = max(1.0 - (1.0 - magnitude) * (1.5 + 2.5 * self._draws.random()), 0.5)
+            wider = max(
+                1.0 - (1.0 - magnitude) * (1.5 + 2.5 * self._draws.random()), 0.5
+            )
             for k, size in ((0, wider), (1, magnitude)):
                 part = slice(corners[k], corners[k + 1])
-                moved[part] = _coefficients(self._with_pair(_all_roots(theta[part]), size, angle))
+                moved[part] = _coefficients(
+                    self._with_pair(_all_roots(theta[part]), size, angle)
+                )
         else:
             move = (self._move_one, self._move_two, self._move_all)[kind % 3]
             part = slice(corners[group], corners[group + 1])
@@ -229,7 +247,9 @@ class Hops:
 
     def _magnitude(self, nearest: float, farthest: float) -> float:
         """1 − 10^x, x uniform."""
-        return float(1.0 - 10.0 ** (nearest + (farthest - nearest) * self._draws.random()))
+        return float(
+            1.0 - 10.0 ** (nearest + (farthest - nearest) * self._draws.random())
+        )
 
     def _angle(self) -> float:
         """Towards low frequencies, where a sampled loop lives."""
@@ -267,7 +287,9 @@ class Hops:
                 root = self._magnitude(-3.0, -0.3) * np.exp(1j * self._angle())
                 drawn += [root, np.conj(root)]
             else:
-                drawn.append(self._magnitude(-2.5, -0.1) * (1.0 if self._pick(5) else -1.0))
+                drawn.append(
+                    self._magnitude(-2.5, -0.1) * (1.0 if self._pick(5) else -1.0)
+                )
         return np.array(drawn, dtype=np.complex128)
 
 

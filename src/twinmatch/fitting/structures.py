@@ -115,13 +115,17 @@ class StructureFit:
         is_received = np.concatenate(self.seen)
         measured = np.hstack(self.measured)[:, is_received]
         simulated = np.hstack(self.simulated)[:, is_received]
-        spreads = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
+        spreads = np.linalg.norm(
+            measured - measured.mean(axis=1, keepdims=True), axis=1
+        )
         residual_norms = np.linalg.norm(measured - simulated, axis=1)
         figures = []
         for norm, spread in zip(residual_norms, spreads, strict=True):
             figures.append(1.0 - norm / spread if spread > 0 else float("nan"))
         outputs = len(self.model.plant.outputs)
-        return float(np.min(figures[:outputs])), float(np.min(figures[outputs:] or [np.nan]))
+        return float(np.min(figures[:outputs])), float(
+            np.min(figures[outputs:] or [np.nan])
+        )
 
 
 def fit_structure(
@@ -157,15 +161,26 @@ def fit_structure(
     informed = informed or bool(prior)
     expectations = {**_typical(model), **(prior or {})} if informed else {}
     knowledge = known_of(expectations, max(len(windows), 1))
-    problem = _Problem(_runs(windows, model, noise or Noise.of(model.plant), law, knowledge))
+    problem = _Problem(
+        _runs(windows, model, noise or Noise.of(model.plant), law, knowledge)
+    )
     plant = model.typical() if informed else model.parameters()
-    plant = plant.replace(**{name: expectation.mean for name, expectation in expectations.items()})
+    plant = plant.replace(
+        **{name: expectation.mean for name, expectation in expectations.items()}
+    )
     if start is not None and start.model is model:
         values = problem.values_of(start.parameters, start.starts[-1])
     else:
-        other_starts = () if informed else model.structure.starts  # with the prior there is no second valley
-        firsts = [problem.values_of(plant.replace(**changes)) for changes in ({}, *other_starts)]
-        looks = [problem.search(first, _LOOK if thorough or informed else 1) for first in firsts]
+        # with the prior there is no second valley
+        other_starts = () if informed else model.structure.starts
+        firsts = [
+            problem.values_of(plant.replace(**changes))
+            for changes in ({}, *other_starts)
+        ]
+        looks = [
+            problem.search(first, _LOOK if thorough or informed else 1)
+            for first in firsts
+        ]
         values = min(looks, key=lambda look: look.cost).values
     best = problem.search(values, _MAX_EVALUATIONS if thorough else _LOOK)
     return problem.fitted(best)
@@ -195,12 +210,18 @@ def fit_session(
         FittingError: as `fit_structure`.
     """
     windows = [session] if isinstance(session, Window) else session
-    parts = [part for window in windows for part in in_parts(model.plant, window, stretch)]
+    parts = [
+        part for window in windows for part in in_parts(model.plant, window, stretch)
+    ]
     return fit_structure(parts, model, noise=noise, law=None, informed=informed)
 
 
 def in_parts(
-    plant: type[Plant], window: Window, stretch: float = STRETCH, *, otherwise: float = 0.0
+    plant: type[Plant],
+    window: Window,
+    stretch: float = STRETCH,
+    *,
+    otherwise: float = 0.0,
 ) -> list[Window]:
     """A window in equal parts of about `stretch` time constants of the plant; if it has none, of about
     `otherwise` samples, 0: whole."""
@@ -237,7 +258,9 @@ def held_back_costs(
     for run, starts, end in zip(problem.runs, before.starts, ends, strict=True):
         costs = _free_run_costs(run, before.parameters, starts, noise)
         held_back = costs[end - SKIPPED :][run.window.marks[end:]]
-        blocks_of_run = np.array_split(held_back, max(round(held_back.size / LASTING), 1))
+        blocks_of_run = np.array_split(
+            held_back, max(round(held_back.size / LASTING), 1)
+        )
         blocks += [block.mean() for block in blocks_of_run if block.size]
     return np.array(blocks or [fitted.cost])
 
@@ -272,7 +295,9 @@ def observed_covariance(
         fitted: the fit to these windows, converged.
         windows, noise, law: as in `fit_structure`.
     """
-    problem = _Problem(_runs(windows, fitted.model, noise or Noise.of(fitted.model.plant), law, {}))
+    problem = _Problem(
+        _runs(windows, fitted.model, noise or Noise.of(fitted.model.plant), law, {})
+    )
     return problem.observed_covariance(fitted)
 
 
@@ -288,7 +313,11 @@ def _typical(model: Model) -> dict[str, Expectation]:
 
 
 def _runs(
-    windows: Sequence[Window], model: Model, noise: Noise, law: LoopLaw, known: Mapping[str, Known]
+    windows: Sequence[Window],
+    model: Model,
+    noise: Noise,
+    law: LoopLaw,
+    known: Mapping[str, Known],
 ) -> list[Experiment]:
     if not windows:
         raise FittingError("structures: there is no window; give at least one")
@@ -325,24 +354,36 @@ class _Problem:
         model = runs[0].model
         self._free = len(runs[0].free)
         self._n_starts = len(runs[0].free_starts)
-        unknowns = unknown_parameters(model, runs[0].free) + unknown_starts(model) * len(runs)
+        unknowns = unknown_parameters(model, runs[0].free) + unknown_starts(
+            model
+        ) * len(runs)
         self._lower = np.array([unknown.bounds[0] for unknown in unknowns])
         self._upper = np.array([unknown.bounds[1] for unknown in unknowns])
         self._scales = np.array([unknown.scale for unknown in unknowns])
         self._pull = runs[0].pull
 
-    def values_of(self, parameters: Parameters, starts: Mapping[str, float] | None = None) -> FloatArray:
+    def values_of(
+        self, parameters: Parameters, starts: Mapping[str, float] | None = None
+    ) -> FloatArray:
         """The values for given parameters, with initial states `starts` in each window, or as in the file."""
         values_of_runs = [run.values_of(parameters) for run in self.runs]
         values = [values_of_runs[0][: self._free]]
         for values_of_run in values_of_runs:
-            values.append(np.array(list(starts.values())) if starts else values_of_run[self._free :])
-        return np.asarray(np.clip(np.concatenate(values), self._lower, self._upper), dtype=np.float64)
+            values.append(
+                np.array(list(starts.values()))
+                if starts
+                else values_of_run[self._free :]
+            )
+        return np.asarray(
+            np.clip(np.concatenate(values), self._lower, self._upper), dtype=np.float64
+        )
 
     def _places(self, window: int) -> NDArray[np.int64]:
         """Indices of the values that apply to one window."""
         first = self._free + window * self._n_starts
-        return np.concatenate([np.arange(self._free), np.arange(first, first + self._n_starts)])
+        return np.concatenate(
+            [np.arange(self._free), np.arange(first, first + self._n_starts)]
+        )
 
     def normal(self, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Sum, gradient and JᵀJ over all windows."""
@@ -385,7 +426,9 @@ class _Problem:
         n_received = sum(int(marks.sum()) for marks in is_received)
         return StructureFit(
             parameters=first.parameters_at(parts[0]),
-            starts=tuple(run.starts_at(part) for run, part in zip(self.runs, parts, strict=True)),
+            starts=tuple(
+                run.starts_at(part) for run, part in zip(self.runs, parts, strict=True)
+            ),
             measured=tuple(run.measured[:signals, SETTLE:] for run in self.runs),
             simulated=tuple(simulated),
             seen=is_received,
@@ -424,7 +467,9 @@ class _Problem:
             slope[np.ix_(places, places)] += slope_of_run
             settled = scores_of_run[SETTLE:]
             for block in np.array_split(settled, max(round(len(settled) / size), 1)):
-                scores.append(np.bincount(places, block.sum(axis=0), minlength=values.size))
+                scores.append(
+                    np.bincount(places, block.sum(axis=0), minlength=values.size)
+                )
         return np.array(scores), slope
 
     def _precision(self, hessian: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -432,10 +477,17 @@ class _Problem:
 
         Without a prior, a value was as uncertain as its scale.
         """
-        before = np.append(self._pull * len(self.runs), np.zeros(self._scales.size - self._free)) / LASTING
+        before = (
+            np.append(
+                self._pull * len(self.runs), np.zeros(self._scales.size - self._free)
+            )
+            / LASTING
+        )
         before *= self._scales**2
         unknown = np.where(before > 0.0, 0.0, 1.0)
-        after = hessian * np.outer(self._scales, self._scales) / LASTING + np.diag(unknown)
+        after = hessian * np.outer(self._scales, self._scales) / LASTING + np.diag(
+            unknown
+        )
         return after, before + unknown
 
     def _covariance(self, hessian: FloatArray) -> FloatArray:
@@ -444,4 +496,6 @@ class _Problem:
 
     def _charge(self, best: Descended) -> float:
         after, before = self._precision(best.hessian)
-        return float(best.cost / LASTING + np.linalg.slogdet(after)[1] - np.sum(np.log(before)))
+        return float(
+            best.cost / LASTING + np.linalg.slogdet(after)[1] - np.sum(np.log(before))
+        )

@@ -77,7 +77,8 @@ def unpack(file: Path, folder: Path, only: str = "") -> list[str]:
             if only and only not in names:
                 raise FmuError(f"is not an FMU: it has no {only}")
             for info in infos:
-                if not only or info.filename == only:  # no more bytes than its stated size are unpacked
+                if not only or info.filename == only:
+                    # no more bytes than its stated size are unpacked
                     Path(archive.extract(info, folder)).chmod(0o700)
             return names
     except (
@@ -96,8 +97,15 @@ def _check(infos: list[zipfile.ZipInfo]) -> None:
         raise FmuError(f"has {len(infos)} files; the limit is {_LIMITS.files}")
     for info in infos:
         name = PurePosixPath(info.filename)
-        if name.is_absolute() or ".." in name.parts or "\\" in info.filename or ":" in info.filename:
-            raise FmuError(f"has {info.filename!r}, a path outside its folder; it is not unpacked")
+        if (
+            name.is_absolute()
+            or ".." in name.parts
+            or "\\" in info.filename
+            or ":" in info.filename
+        ):
+            raise FmuError(
+                f"has {info.filename!r}, a path outside its folder; it is not unpacked"
+            )
         if stat.S_ISLNK(info.external_attr >> 16):
             raise FmuError(f"has the link {info.filename!r}; it is not unpacked")
     total = sum(info.file_size for info in infos)
@@ -126,7 +134,8 @@ class Variable:
     def settable(self) -> bool:
         """Whether it can be set before a run."""
         return self.variability != "constant" and (
-            self.causality in {"input", "parameter"} or self.initial in {"exact", "approx"}
+            self.causality in {"input", "parameter"}
+            or self.initial in {"exact", "approx"}
         )
 
 
@@ -170,7 +179,9 @@ class Described:
 
     def of(self, *causalities: str) -> list[Variable]:
         """The variables of these causalities."""
-        return [variable for variable in self.variables if variable.causality in causalities]
+        return [
+            variable for variable in self.variables if variable.causality in causalities
+        ]
 
     @property
     def tree(self) -> dict[str, Any]:
@@ -187,7 +198,8 @@ def described_from(tree: dict[str, Any]) -> Described:
     """
     variables = tuple(Variable(**variable) for variable in tree.pop("variables"))
     pairs: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in tree.items()
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in tree.items()
     }
     return Described(**pairs, variables=variables)
 
@@ -198,26 +210,37 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
     Raises:
         ValueError: the file does not follow FMI 2 or 3.
     """
-    from fmpy import read_model_description  # noqa: PLC0415 (an extra, and slow to import)
+    from fmpy import read_model_description  # noqa: PLC0415
 
     version = _version(folder / "modelDescription.xml")
     if not version.startswith(("2.", "3.")):
-        raise ValueError(f"it is of FMI {version or 'without version'}; FMI 2 and 3 are supported")
+        raise ValueError(
+            f"it is of FMI {version or 'without version'}; FMI 2 and 3 are supported"
+        )
     try:
         description = read_model_description(str(folder), validate=False)
     except Exception as error:  # FMPy raises many kinds
-        raise ValueError(f"its modelDescription.xml does not follow FMI {version}: {error}") from error
+        raise ValueError(
+            f"its modelDescription.xml does not follow FMI {version}: {error}"
+        ) from error
     if len(description.modelVariables) > _LIMITS.variables:
         raise ValueError(
             f"it has {len(description.modelVariables)} variables; the limit is {_LIMITS.variables}"
         )
-    ways = ((MODEL_EXCHANGE, description.modelExchange), (CO_SIMULATION, description.coSimulation))
+    ways = (
+        (MODEL_EXCHANGE, description.modelExchange),
+        (CO_SIMULATION, description.coSimulation),
+    )
     supported = [(kind, way) for kind, way in ways if way is not None]
     for _, way in supported:
         if not re.fullmatch(r"[A-Za-z_]\w*", str(way.modelIdentifier), re.ASCII):
-            raise ValueError(f"its modelIdentifier is {way.modelIdentifier!r}; FMI demands a name of C")
+            raise ValueError(
+                f"its modelIdentifier is {way.modelIdentifier!r}; FMI demands a name of C"
+            )
     derived = [
-        unknown.variable.derivative.name for unknown in description.derivatives if unknown.variable.derivative
+        unknown.variable.derivative.name
+        for unknown in description.derivatives
+        if unknown.variable.derivative
     ]
     order = {name: place for place, name in reversed(list(enumerate(derived)))}
     exchange = description.modelExchange
@@ -229,15 +252,24 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
         guid=description.guid or "",
         kinds=tuple(kind for kind, _ in supported),
         identifiers=tuple(str(way.modelIdentifier) for _, way in supported),
-        directional=bool(exchange is not None and exchange.providesDirectionalDerivative),
-        after_steps=exchange is not None and _needs_completed_steps(description.fmiVersion, exchange),
+        directional=bool(
+            exchange is not None and exchange.providesDirectionalDerivative
+        ),
+        after_steps=exchange is not None
+        and _needs_completed_steps(description.fmiVersion, exchange),
         indicators=int(description.numberOfEventIndicators),
         states=len(description.derivatives),
         step=float(usual.stepSize) if usual is not None and usual.stepSize else None,
         platforms=_platforms(names),
-        discrete=tuple(v.name for v in description.modelVariables if _changes_at_events(v)),
-        foreign=tuple(_foreign(v) for v in description.modelVariables if not _real_scalar(v)),
-        variables=tuple(_variable(v, order) for v in description.modelVariables if _real_scalar(v)),
+        discrete=tuple(
+            v.name for v in description.modelVariables if _changes_at_events(v)
+        ),
+        foreign=tuple(
+            _foreign(v) for v in description.modelVariables if not _real_scalar(v)
+        ),
+        variables=tuple(
+            _variable(v, order) for v in description.modelVariables if _real_scalar(v)
+        ),
     )
 
 
@@ -246,7 +278,9 @@ def _version(file: Path) -> str:
     try:  # only the first element; expat limits how far entities expand
         _, root = next(ElementTree.iterparse(file, events=("start",)))  # noqa: S314
     except (ElementTree.ParseError, ValueError, LookupError, StopIteration) as error:
-        raise ValueError(f"its modelDescription.xml is not valid XML: {error}") from error
+        raise ValueError(
+            f"its modelDescription.xml is not valid XML: {error}"
+        ) from error
     return str(root.get("fmiVersion", ""))
 
 
@@ -257,19 +291,24 @@ def _real_scalar(declared: Any) -> bool:
 def _variability(declared: Any) -> str:
     """As declared; what is not real is never continuous, which FMPy takes for the default."""
     stated = str(declared.variability or "")
-    return "discrete" if stated == "continuous" and declared.type not in _REAL else stated
+    return (
+        "discrete" if stated == "continuous" and declared.type not in _REAL else stated
+    )
 
 
 def _changes_at_events(declared: Any) -> bool:
     """Whether it may be a memory of events: of what is not real, words apart."""
-    has_own_value = declared.causality in {"local", "output"} and declared.type not in _WORDS
+    has_own_value = (
+        declared.causality in {"local", "output"} and declared.type not in _WORDS
+    )
     return has_own_value and _variability(declared) == "discrete"
 
 
 def _foreign(declared: Any) -> str:
     """Name, type with dimensions, causality and variability."""
     sizes = (
-        dimension.start or getattr(dimension.variable, "name", "?") for dimension in declared.dimensions or ()
+        dimension.start or getattr(dimension.variable, "name", "?")
+        for dimension in declared.dimensions or ()
     )
     kind = declared.type + "".join(f"[{size}]" for size in sizes)
     about = ", ".join(filter(None, (declared.causality, _variability(declared))))
@@ -277,7 +316,9 @@ def _foreign(declared: Any) -> str:
 
 
 def _variable(declared: Any, order: Mapping[str, int]) -> Variable:
-    unit = declared.unit or (declared.declaredType.unit if declared.declaredType is not None else "")
+    unit = declared.unit or (
+        declared.declaredType.unit if declared.declaredType is not None else ""
+    )
     return Variable(
         name=declared.name,
         reference=int(declared.valueReference),
@@ -305,7 +346,11 @@ def _number(text: str | None) -> float | None:
 
 
 def _platforms(names: Iterable[str]) -> tuple[str, ...]:
-    folders = {name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1}
+    folders = {
+        name.split("/")[1]
+        for name in names
+        if name.startswith("binaries/") and name.count("/") > 1
+    }
     return tuple(sorted(folders))
 
 
@@ -331,7 +376,11 @@ def overview(described: Described) -> list[str]:
 
 
 def _listed(title: str, rows: Sequence[str]) -> list[str]:
-    note = [f"  and {len(rows) - _LIMITS.listed} more"] if len(rows) > _LIMITS.listed else []
+    note = (
+        [f"  and {len(rows) - _LIMITS.listed} more"]
+        if len(rows) > _LIMITS.listed
+        else []
+    )
     return [
         f"{title}: {'' if rows else 'none'}".rstrip(),
         *(f"  {row}" for row in rows[: _LIMITS.listed]),
@@ -341,12 +390,16 @@ def _listed(title: str, rows: Sequence[str]) -> list[str]:
 
 def draft(file: Path, described: Described, plant: type[Plant]) -> str:
     """A draft of its map for a plant, as YAML, with question marks for missing entries."""
-    states_of_fmu = [v for v in described.variables if v.state >= 0] or _others(described)
+    states_of_fmu = [v for v in described.variables if v.state >= 0] or _others(
+        described
+    )
     signals = _linked_signals(described, plant)
     states = _like_named(plant.states, _Names(states_of_fmu))
     parameters = _like_named(plant.parameters, _Names(described.of("parameter")))
     links = signals | states | parameters
-    linked = {name for name, variable in (states | parameters).items() if variable is not None}
+    linked = {
+        name for name, variable in (states | parameters).items() if variable is not None
+    }
     entry: dict[str, Any] = {
         "fmu": file.name,
         "variables": {
@@ -360,11 +413,15 @@ def draft(file: Path, described: Described, plant: type[Plant]) -> str:
     tree = {"plant": plant.name, "structures": {described.name or file.stem: entry}}
     text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True)
     named = {variable.name for variable in links.values() if variable is not None}
-    unlinked = [v for v in (*described.of("parameter"), *states_of_fmu) if v.name not in named]
+    unlinked = [
+        v for v in (*described.of("parameter"), *states_of_fmu) if v.name not in named
+    ]
     return text + "".join(_more(v) for v in unlinked)
 
 
-def _linked_signals(described: Described, plant: type[Plant]) -> dict[str, Variable | None]:
+def _linked_signals(
+    described: Described, plant: type[Plant]
+) -> dict[str, Variable | None]:
     """The FMU's variables for output, drive and disturbances: those with their names, or the only ones."""
     outputs = described.of("output")
     inputs = described.of("input")
@@ -380,14 +437,18 @@ def _linked_signals(described: Described, plant: type[Plant]) -> dict[str, Varia
     return links | _like_named(plant.disturbances, names_of_inputs)
 
 
-def _like_named(quantities: Mapping[str, Any], names: _Names) -> dict[str, Variable | None]:
+def _like_named(
+    quantities: Mapping[str, Any], names: _Names
+) -> dict[str, Variable | None]:
     """For each quantity of the plant the variable with its name or symbol."""
     return {name: names.like(quantity) for name, quantity in quantities.items()}
 
 
 def _verdict(described: Described) -> str:
     if not described.kinds:
-        return "It cannot be used: it supports neither co-simulation nor model exchange."
+        return (
+            "It cannot be used: it supports neither co-simulation nor model exchange."
+        )
     if described.discrete:
         return f"It cannot be used: {remembering(described)}."
     if MODEL_EXCHANGE in described.kinds:
@@ -412,7 +473,11 @@ def _others(described: Described) -> list[Variable]:
     if MODEL_EXCHANGE in described.kinds and CO_SIMULATION not in described.kinds:
         return []
     kinds = ("local", "output")
-    return [v for v in described.variables if v.causality in kinds and v.settable and v.state < 0]
+    return [
+        v
+        for v in described.variables
+        if v.causality in kinds and v.settable and v.state < 0
+    ]
 
 
 def _line(variable: Variable) -> str:
@@ -455,7 +520,11 @@ def _link_of(variable: Variable | None, unit: str) -> Any:
 
 def _start(plant: type[Plant], state: str) -> str:
     name = plant.output.name
-    return f"{name} + {KELVIN}" if plant.output.unit == "°C" and plant.states[state].unit == "K" else name
+    return (
+        f"{name} + {KELVIN}"
+        if plant.output.unit == "°C" and plant.states[state].unit == "K"
+        else name
+    )
 
 
 def _more(variable: Variable) -> str:

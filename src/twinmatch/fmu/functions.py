@@ -5,7 +5,7 @@ parameters, so every derivative is a central difference. Where a match needs onl
 run, whole runs are compared: those of samples would add up the error of an FMU's solver.
 """
 
-# ruff: noqa: ARG001, PLR0917 (kernels are long and take arrays in a row)
+
 # mypy: disable-error-code="untyped-decorator, no-any-return"
 
 from __future__ import annotations
@@ -58,11 +58,20 @@ _LLVM: Final[Mapping[Any, Any]] = {
     types.int64: ir.IntType(64),
     types.float64: ir.DoubleType(),
 }
-_CALLED: Final = ir.FunctionType(ir.VoidType(), [_LLVM[kind] for kind in _KINDS]).as_pointer()
+_CALLED: Final = ir.FunctionType(
+    ir.VoidType(), [_LLVM[kind] for kind in _KINDS]
+).as_pointer()
 
 
 @compiled(inside=True)
-def _value(machine: Machine, quantity: int, z: FloatArray, d: FloatArray, h: float, out: FloatArray) -> None:
+def _value(  # noqa: PLR0917
+    machine: Machine,
+    quantity: int,
+    z: FloatArray,
+    d: FloatArray,
+    h: float,
+    out: FloatArray,
+) -> None:
     """The output, the rates, or the states after a step of h; z holds parameters, states and drive.
 
     The rates of a co-simulation FMU are differences over one sample, which have the same equilibria.
@@ -91,11 +100,13 @@ def ends_of(machine: Machine, place: int, value: float) -> tuple[float, float]:
         size = max(WIDTH * abs(value), NEAR_ZERO * size)
     high = value + size
     low = value - size
-    return high if high <= machine.highest[place] else value, low if low >= machine.lowest[place] else value
+    return high if high <= machine.highest[
+        place
+    ] else value, low if low >= machine.lowest[place] else value
 
 
 @compiled(inside=True)
-def _slope(
+def _slope(  # noqa: PLR0917
     machine: Machine,
     quantity: int,
     z: FloatArray,
@@ -150,7 +161,7 @@ def _rate_slopes(machine: Machine, z: FloatArray, d: FloatArray, out: Any) -> No
 
 
 @compiled(inside=True)
-def _move_tangents(
+def _move_tangents(  # noqa: PLR0917
     machine: Machine,
     z: FloatArray,
     d: FloatArray,
@@ -181,7 +192,7 @@ def _move_tangents(
 
 
 @compiled(addressed=True)
-def _function(
+def _function(  # noqa: PLR0917
     integers: Any,
     floats: Any,
     quantity: int,
@@ -189,7 +200,7 @@ def _function(
     u: Any,
     d: Any,
     p: Any,
-    b: Any,
+    b: Any,  # noqa: ARG001
     out: Any,
     h: float,
     columns: Any,
@@ -223,14 +234,18 @@ def _function(
     value = STEP if quantity == TANGENTS else quantity
     skipped = n * head.n_unknown if quantity == SLOPES else 0
     column = np.zeros(max(n, 1))
-    _value(machine, value, z, disturbances, h, column[: 1 if quantity == OUTPUTS else n])
+    _value(
+        machine, value, z, disturbances, h, column[: 1 if quantity == OUTPUTS else n]
+    )
     for i in range(column.size):
         out[skipped + i] = column[i]
     if value == STEP:
         out[n] = 0.0  # kinks within the step have been found
 
 
-def functions_for(integers: int, numbers: int, start: int) -> tuple[Any, dict[str, int]]:
+def functions_for(
+    integers: int, numbers: int, start: int
+) -> tuple[Any, dict[str, int]]:
     """The functions of the FMU whose machine is at these addresses: their owner, and their addresses.
 
     `start` is the address of the function for initial states.
@@ -238,27 +253,43 @@ def functions_for(integers: int, numbers: int, start: int) -> tuple[Any, dict[st
     _function.compile(_KINDS)  # type: ignore[attr-defined]
     result = _function.overloads[_KINDS]  # type: ignore[attr-defined]
     # A kernel from the cache does not list this name as defined.
-    address = result.library.codegen._engine.get_function_address(result.fndesc.llvm_cfunc_wrapper_name)
+    address = result.library.codegen._engine.get_function_address(
+        result.fndesc.llvm_cfunc_wrapper_name
+    )
     kinds = [_LLVM[kind] for kind in _KINDS]
     module = ir.Module("fmu")
     for number, name in enumerate(FUNCTIONS):
         count = {STEP: 7, TANGENTS: 12}.get(number, 6)
-        llvm = ir.Function(module, ir.FunctionType(ir.VoidType(), kinds[3 : 3 + count]), name)
+        llvm = ir.Function(
+            module, ir.FunctionType(ir.VoidType(), kinds[3 : 3 + count]), name
+        )
         builder = ir.IRBuilder(llvm.append_basic_block())
         if number in {STEP, TANGENTS, SLOPES, OUTPUTS, OUTPUT_SLOPES}:
             pointers = [
                 builder.inttoptr(ir.Constant(kinds[2], value), kind)
-                for value, kind in zip((address, integers, numbers), (_CALLED, *kinds), strict=False)
+                for value, kind in zip(
+                    (address, integers, numbers), (_CALLED, *kinds), strict=False
+                )
             ]
-            unused = [ir.Constant(kind, None if kind.is_pointer else 0) for kind in kinds[3 + count :]]
-            builder.call(pointers[0], [*pointers[1:], ir.Constant(kinds[2], number), *llvm.args, *unused])
+            unused = [
+                ir.Constant(kind, None if kind.is_pointer else 0)
+                for kind in kinds[3 + count :]
+            ]
+            builder.call(
+                pointers[0],
+                [*pointers[1:], ir.Constant(kinds[2], number), *llvm.args, *unused],
+            )
         builder.ret_void()
-    target = binding.Target.from_default_triple().create_target_machine(reloc="pic", jit=True)
+    target = binding.Target.from_default_triple().create_target_machine(
+        reloc="pic", jit=True
+    )
     owner, addresses = linked(target.emit_object(binding.parse_assembly(str(module))))
     return owner, {**addresses, "start": start}
 
 
-def code_for(addresses: Mapping[str, int], parameters: int, states: int, unknown: int) -> Code:
+def code_for(
+    addresses: Mapping[str, int], parameters: int, states: int, unknown: int
+) -> Code:
     """The FMU as a plant for the kernels."""
     sizes = {
         "n_states": states,
@@ -268,12 +299,18 @@ def code_for(addresses: Mapping[str, int], parameters: int, states: int, unknown
         "n_unknown": unknown,
     }
     number_of = {**addresses, **dict.fromkeys(NUMBERS, 0), **sizes}
-    return np.array([number_of[name] for name in (*FUNCTIONS, *NUMBERS)], dtype=np.int64)
+    return np.array(
+        [number_of[name] for name in (*FUNCTIONS, *NUMBERS)], dtype=np.int64
+    )
 
 
 @compiled
 def normal_at(
-    code: Code, machine: Machine, problem: LeastSquares, values: FloatArray, limit: float
+    code: Code,
+    machine: Machine,
+    problem: LeastSquares,
+    values: FloatArray,
+    limit: float,
 ) -> tuple[float, FloatArray, FloatArray]:
     """As `twinmatch.dynamics.runs.normal_at`, from differences of whole runs; infinite without finite values.
 
@@ -302,7 +339,9 @@ def normal_at(
             moved[j] = ends[j, (i - 1) % 2]
         vector = problem.base.copy()
         vector[problem.places] = moved[:free]
-        x, _, _ = begin(code, vector, problem.first, problem.inputs_before, data.disturbances[0])
+        x, _, _ = begin(
+            code, vector, problem.first, problem.inputs_before, data.disturbances[0]
+        )
         x[problem.started] = moved[free:]
         if i == 0:
             steps = step_count(

@@ -101,7 +101,9 @@ class Machine(NamedTuple):
     highest: FloatArray
 
 
-def memory_for(parameters: int, states: int, inputs: int) -> tuple[Integers, FloatArray]:
+def memory_for(
+    parameters: int, states: int, inputs: int
+) -> tuple[Integers, FloatArray]:
     """The integers and the floats of a machine, zero but for these sizes."""
     integers = np.zeros(_BEGIN + states + inputs + 2 * parameters, dtype=np.int64)
     head = integers[len(FUNCTIONS) : _BEGIN].view(HEAD)[0]
@@ -146,18 +148,21 @@ def machine_at(integers: Any, floats: Any) -> Machine:
     n = head.n_states
     inputs = head.n_inputs
     return machine_of(
-        numba.carray(integers, _BEGIN + n + inputs + 2 * m), numba.carray(floats, 6 * (m + n + inputs + 1))
+        numba.carray(integers, _BEGIN + n + inputs + 2 * m),
+        numba.carray(floats, 6 * (m + n + inputs + 1)),
     )
 
 
 @intrinsic
-def _fmi(context: Any, address: Any, instance: Any, arguments: Any) -> Any:  # noqa: ARG001 (numba's interface)
+def _fmi(context: Any, address: Any, instance: Any, arguments: Any) -> Any:  # noqa: ARG001
     """Call a function of the FMU by its address; returns its status."""
 
     def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:  # noqa: ARG001
         passed_values = [values[1], *cgutils.unpack_tuple(builder, values[2])]
         kinds = ir.FunctionType(ir.IntType(32), [value.type for value in passed_values])
-        return builder.call(builder.inttoptr(values[0], kinds.as_pointer()), passed_values)
+        return builder.call(
+            builder.inttoptr(values[0], kinds.as_pointer()), passed_values
+        )
 
     return types.int32(address, instance, arguments), code
 
@@ -172,7 +177,11 @@ def _note(machine: Machine, where: int, status: int) -> None:
 @compiled(inside=True)
 def _call(machine: Machine, function: int, arguments: Any) -> None:
     """Call a function with arguments, a tuple, after the instance."""
-    _note(machine, function, _fmi(machine.functions[function], machine.head[0].instance, arguments))
+    _note(
+        machine,
+        function,
+        _fmi(machine.functions[function], machine.head[0].instance, arguments),
+    )
 
 
 @compiled(inside=True)
@@ -183,7 +192,9 @@ def _pass(machine: Machine, function: int, values: FloatArray) -> None:
 
 
 @compiled(inside=True)
-def _transfer(machine: Machine, function: int, references: int, values: FloatArray) -> None:
+def _transfer(
+    machine: Machine, function: int, references: int, values: FloatArray
+) -> None:
     """Read or set some variables, in the FMU's units."""
     if values.size > 0:
         data = values.ctypes.data
@@ -195,7 +206,9 @@ def _set(machine: Machine, references: int, first: int, count: int) -> None:
     """Set some variables to their values in `held`."""
     values = np.empty(count)
     for i in range(count):
-        values[i] = (machine.held[first + i] - machine.offsets[first + i]) / machine.factors[first + i]
+        values[i] = (
+            machine.held[first + i] - machine.offsets[first + i]
+        ) / machine.factors[first + i]
     _transfer(machine, SET, references, values)
 
 
@@ -204,7 +217,10 @@ def _initialise(machine: Machine) -> None:
     """Initialise with the parameters and inputs that are held, for co-simulation also with the states."""
     m = machine.head[0].n_parameters
     n = machine.head[0].n_states
-    if machine.head[0].begun != 0 and _fmi(machine.functions[RESET], machine.head[0].instance, ()) > _WARNING:
+    if (
+        machine.head[0].begun != 0
+        and _fmi(machine.functions[RESET], machine.head[0].instance, ()) > _WARNING
+    ):
         _note(machine, RESET, _fmi(machine.head[0].renew, machine.head[0].instance, ()))
     machine.head[0].begun = 1
     if machine.functions[SETUP] != 0:
@@ -252,9 +268,9 @@ def bring(machine: Machine, z: FloatArray, d: FloatArray) -> None:
         if not continues and n > 0:
             states_of_fmu = np.empty(n)
             for i in range(n):
-                states_of_fmu[machine.places[i]] = (z[m + i] - machine.offsets[m + i]) / machine.factors[
-                    m + i
-                ]
+                states_of_fmu[machine.places[i]] = (
+                    z[m + i] - machine.offsets[m + i]
+                ) / machine.factors[m + i]
             _pass(machine, SET_STATES, states_of_fmu)
         if head.n_indicators > 0:
             _call(machine, EVENT_MODE, ())
@@ -305,7 +321,8 @@ def _step(machine: Machine, h: float) -> None:
     data = flags.ctypes.data
     time = machine.head[0].run_time
     _call(machine, STEP, (time, h, 1, data, data + 8, data + 16, data + 24))
-    if machine.head[0].fmi_3 and (flags[2] != 0 or flags[4] != 0):  # it terminated, or returned early
+    if machine.head[0].fmi_3 and (flags[2] != 0 or flags[4] != 0):
+        # it terminated, or returned early
         _note(machine, STEP, ENDED)
     machine.head[0].run_time = time + h
 
@@ -355,7 +372,9 @@ def _rates(machine: Machine, x: FloatArray, time: float, values: FloatArray) -> 
 
 
 @compiled(inside=True)
-def _runge_kutta(machine: Machine, x: FloatArray, t: float, h: float, after: FloatArray) -> None:
+def _runge_kutta(
+    machine: Machine, x: FloatArray, t: float, h: float, after: FloatArray
+) -> None:
     k = np.empty((4, x.size))
     point = x.copy()
     for stage in range(4):
@@ -369,7 +388,9 @@ def _runge_kutta(machine: Machine, x: FloatArray, t: float, h: float, after: Flo
 
 
 @compiled(inside=True)
-def _indicators(machine: Machine, x: FloatArray, time: float, values: FloatArray) -> None:
+def _indicators(
+    machine: Machine, x: FloatArray, time: float, values: FloatArray
+) -> None:
     if values.size > 0:
         _place(machine, x, time)
         _pass(machine, INDICATORS, values)
@@ -412,7 +433,11 @@ def _settle(machine: Machine) -> None:
             return
         flags = np.zeros(16, dtype=np.int32)
         data = flags.ctypes.data
-        _call(machine, UPDATE, (data, data + 8, data + 16, data + 24, data + 32, data + 40))
+        _call(
+            machine,
+            UPDATE,
+            (data, data + 8, data + 16, data + 24, data + 32, data + 40),
+        )
         if flags[2 if machine.head[0].fmi_3 else 1] != 0:
             _note(machine, UPDATE, ENDED)
         if flags[0] == 0:

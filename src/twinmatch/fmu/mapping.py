@@ -18,7 +18,13 @@ import msgspec
 
 from twinmatch.decoding import NOT_GIVEN, FiniteNumber, decoded, given_keys
 from twinmatch.dynamics import Parameter, Plant, PlantError, State
-from twinmatch.fmu.archive import CO_SIMULATION, MODEL_EXCHANGE, Described, FmuError, remembering
+from twinmatch.fmu.archive import (
+    CO_SIMULATION,
+    MODEL_EXCHANGE,
+    Described,
+    FmuError,
+    remembering,
+)
 from twinmatch.plants import find_plant
 from twinmatch.sessions.documents import DocumentError, read_yaml
 
@@ -50,7 +56,9 @@ class Formula:
             if len(text) > LONGEST:
                 raise SyntaxError("too long")
             self._tree = ast.parse(text.strip(), mode="eval").body
-            self.names = tuple(sorted({n.id for n in ast.walk(self._tree) if isinstance(n, ast.Name)}))
+            self.names = tuple(
+                sorted({n.id for n in ast.walk(self._tree) if isinstance(n, ast.Name)})
+            )
             self._of(self._tree, dict.fromkeys(self.names, 1.0))
         except ZeroDivisionError:
             pass
@@ -73,7 +81,9 @@ class Formula:
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
             return -self._of(node.operand, values)
         if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
-            return _BINARY[type(node.op)](self._of(node.left, values), self._of(node.right, values))
+            return _BINARY[type(node.op)](
+                self._of(node.left, values), self._of(node.right, values)
+            )
         raise SyntaxError("not arithmetic")
 
 
@@ -155,12 +165,18 @@ class FmuMap:
     @property
     def known_states(self) -> tuple[str, ...]:
         """The FMU's states, those of the plant first."""
-        return tuple(name for name in {**self.plant.states, **self.states} if name in self.links)
+        return tuple(
+            name for name in {**self.plant.states, **self.states} if name in self.links
+        )
 
     @property
     def known_parameters(self) -> tuple[str, ...]:
         """The FMU's parameters, those of the plant first."""
-        return tuple(name for name in {**self.plant.parameters, **self.parameters} if name in self.links)
+        return tuple(
+            name
+            for name in {**self.plant.parameters, **self.parameters}
+            if name in self.links
+        )
 
 
 def read_maps(file: Path) -> tuple[FmuMap, ...]:
@@ -180,7 +196,9 @@ def read_maps(file: Path) -> tuple[FmuMap, ...]:
         plant = find_plant(content.plant)
     except PlantError as error:
         raise FmuError(f"{file}: {error}") from error
-    return tuple(_map(file, plant, name, entry) for name, entry in content.structures.items())
+    return tuple(
+        _map(file, plant, name, entry) for name, entry in content.structures.items()
+    )
 
 
 def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
@@ -188,7 +206,10 @@ def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
     entry = decoded(tree, Entry, place, FmuError)
     parameters = _declared(place, Parameter, _WrittenParameter, entry.parameters, plant)
     states = _declared(place, State, _WrittenState, entry.states, plant)
-    links = {key: _link(f"{place}, variable {key}", value) for key, value in entry.variables.items()}
+    links = {
+        key: _link(f"{place}, variable {key}", value)
+        for key, value in entry.variables.items()
+    }
     linkable = (
         plant.output.name,
         plant.drive.name,
@@ -201,9 +222,13 @@ def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
     _subset(place, "variables", links, linkable)
     for needed in (plant.output.name, plant.drive.name, *parameters, *states):
         if needed not in links:
-            raise FmuError(f"{place}: variables has no entry for {needed}; give the FMU's variable for it")
+            raise FmuError(
+                f"{place}: variables has no entry for {needed}; give the FMU's variable for it"
+            )
     if entry.kind not in {"", CO_SIMULATION, MODEL_EXCHANGE}:
-        raise FmuError(f"{place}: kind is {entry.kind!r}; give {MODEL_EXCHANGE!r} or {CO_SIMULATION!r}")
+        raise FmuError(
+            f"{place}: kind is {entry.kind!r}; give {MODEL_EXCHANGE!r} or {CO_SIMULATION!r}"
+        )
     searches = entry.searches
     if searches is None:
         usual = next(iter(plant.structures.values())).starts
@@ -215,7 +240,10 @@ def _map(file: Path, plant: type[Plant], name: str, tree: Any) -> FmuMap:
         file=file.parent / entry.fmu,
         own=entry,
         links=links,
-        starts={key: Formula(f"{place}, start of {key}", str(value)) for key, value in entry.starts.items()},
+        starts={
+            key: Formula(f"{place}, start of {key}", str(value))
+            for key, value in entry.starts.items()
+        },
         searches=searches,
         parameters=parameters,
         states=states,
@@ -234,20 +262,31 @@ def _check(fmu: FmuMap) -> None:
     _subset(fmu.place, "free_starts", fmu.own.free_starts, states)
     _subset(fmu.place, "starts", fmu.starts, states)
     if not fmu.own.patience > 0:
-        raise FmuError(f"{fmu.place}: patience is {fmu.own.patience:g} s; give a positive number")
+        raise FmuError(
+            f"{fmu.place}: patience is {fmu.own.patience:g} s; give a positive number"
+        )
     missing = [name for name in states if name not in fmu.starts]
     if missing:
         msg = f"{fmu.place}: starts has no entry for {missing[0]}; give its initial value at a known output"
         raise FmuError(msg)
     for name, formula in fmu.starts.items():
-        allowed = (fmu.plant.output.name, fmu.plant.drive.name, *fmu.plant.disturbances, *parameters)
-        _subset(f"{fmu.place}, start of {name}", repr(formula.text), formula.names, allowed)
+        allowed = (
+            fmu.plant.output.name,
+            fmu.plant.drive.name,
+            *fmu.plant.disturbances,
+            *parameters,
+        )
+        _subset(
+            f"{fmu.place}, start of {name}", repr(formula.text), formula.names, allowed
+        )
 
 
 def _subset(place: str, section: str, names: Any, allowed: Any) -> None:
     unknown = [name for name in names if name not in allowed]
     if unknown:
-        raise FmuError(f"{place}: {section} names {unknown[0]!r}; there are {', '.join(allowed) or 'none'}")
+        raise FmuError(
+            f"{place}: {section} names {unknown[0]!r}; there are {', '.join(allowed) or 'none'}"
+        )
 
 
 def _link(place: str, tree: Any) -> Link:
@@ -255,20 +294,30 @@ def _link(place: str, tree: Any) -> Link:
         return Link(tree, tree)
     link = decoded(tree, Link, place, FmuError)
     if link.factor == 0.0:
-        raise FmuError(f"{place}: factor is 0; plant value = factor · FMU value + offset, so give another")
+        raise FmuError(
+            f"{place}: factor is 0; plant value = factor · FMU value + offset, so give another"
+        )
     return link if link.set else msgspec.structs.replace(link, set=link.variable)
 
 
 def _declared(
-    place: str, kind: Any, written: type[_Quantity], tree: Mapping[str, Any] | None, plant: type[Plant]
+    place: str,
+    kind: Any,
+    written: type[_Quantity],
+    tree: Mapping[str, Any] | None,
+    plant: type[Plant],
 ) -> dict[str, Any]:
     declarations = {}
     for name, value in (tree or {}).items():
         place_of_entry = f"{place}, {kind.__name__.lower()} {name}"
         if name in plant.declarations:
-            raise FmuError(f"{place}: {name} is declared by the plant; list it only under variables")
+            raise FmuError(
+                f"{place}: {name} is declared by the plant; list it only under variables"
+            )
         try:
-            declared = kind(**given_keys(decoded(value, written, place_of_entry, FmuError)))
+            declared = kind(
+                **given_keys(decoded(value, written, place_of_entry, FmuError))
+            )
             declared.__set_name__(plant, name)
         except FmuError:
             raise
@@ -291,22 +340,33 @@ def loading(fmu: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
     """
     kind = fmu.own.kind or next(iter(described.kinds), "")
     if kind not in described.kinds:
-        ways = " and ".join(described.kinds) or "neither model exchange nor co-simulation"
+        ways = (
+            " and ".join(described.kinds) or "neither model exchange nor co-simulation"
+        )
         raise FmuError(f"it supports {ways}" + (f", not {kind}" if kind else ""))
     if described.discrete:
         raise FmuError(remembering(described))
     plant = fmu.plant
     links = fmu.links
-    inputs = [links[plant.drive.name], *(links[name] for name in plant.disturbances if name in links)]
+    inputs = [
+        links[plant.drive.name],
+        *(links[name] for name in plant.disturbances if name in links),
+    ]
     states = [links[name] for name in fmu.known_states]
     parameters = [links[name] for name in fmu.known_parameters]
     output = links[plant.output.name]
     for link in (output, *inputs, *states, *parameters):
         for name in (link.variable, link.set):
             if described.called(name) is None:
-                raise FmuError(f"has no real variable {name!r}; `twinmatch fmu` lists those it has")
+                raise FmuError(
+                    f"has no real variable {name!r}; `twinmatch fmu` lists those it has"
+                )
     _check_inputs(described, inputs)
-    states_of_fmu = [v.name for v in sorted(described.variables, key=lambda v: v.state) if v.state >= 0]
+    states_of_fmu = [
+        v.name
+        for v in sorted(described.variables, key=lambda v: v.state)
+        if v.state >= 0
+    ]
     if kind == MODEL_EXCHANGE:
         _check_states(described, states_of_fmu, [link.variable for link in states])
         _check_settable(described, parameters)
@@ -319,7 +379,9 @@ def loading(fmu: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
         "described": described.tree,
         "kind": kind,
         "references": {
-            "fixed": _references(described, [link.set for link in (*parameters, *states)]),
+            "fixed": _references(
+                described, [link.set for link in (*parameters, *states)]
+            ),
             "inputs": _references(described, [link.variable for link in inputs]),
             "states": _references(described, [link.variable for link in states]),
             "output": _references(described, [output.variable]),
@@ -341,20 +403,30 @@ def _numbers(fmu: FmuMap, links: Sequence[Link]) -> list[list[float]]:
     declared_parameters = {**plant.parameters, **fmu.parameters}
     declared_states = {**plant.states, **fmu.states}
     parameters = [declared_parameters[name] for name in fmu.known_parameters]
-    spans = [*(declared_states[name].span for name in fmu.known_states), plant.drive.limits]
+    spans = [
+        *(declared_states[name].span for name in fmu.known_states),
+        plant.drive.limits,
+    ]
     unlimited = [math.inf for _ in spans]
     return [
         [link.factor for link in links],
         [link.offset for link in links],
         [math.nan for _ in links],
         [*(p.scale for p in parameters), *(high - low for low, high in spans)],
-        [*(max(p.least, _TINY if p.positive else p.least) for p in parameters), *(-x for x in unlimited)],
+        [
+            *(max(p.least, _TINY if p.positive else p.least) for p in parameters),
+            *(-x for x in unlimited),
+        ],
         [*(p.most for p in parameters), *unlimited],
     ]
 
 
 def _references(described: Described, names: list[str]) -> list[int]:
-    return [variable.reference for name in names if (variable := described.called(name)) is not None]
+    return [
+        variable.reference
+        for name in names
+        if (variable := described.called(name)) is not None
+    ]
 
 
 def _check_states(described: Described, states: list[str], named: list[str]) -> None:
@@ -367,17 +439,25 @@ def _check_states(described: Described, states: list[str], named: list[str]) -> 
             problem = f"the map does not name {unnamed[0]!r}"
         elif unknown:
             problem = f"the map names {unknown[0]!r}, which is not one of them"
-        raise FmuError(f"its continuous states are {', '.join(states) or 'none'}; {problem}")
+        raise FmuError(
+            f"its continuous states are {', '.join(states) or 'none'}; {problem}"
+        )
 
 
 def _check_inputs(described: Described, links: list[Link]) -> None:
     """Check that the plant's inputs are inputs of the FMU: it may ignore values of others."""
     for link in links:
         variable = described.called(link.set)
-        if variable is not None and variable.causality != "input" and variable.variability != "tunable":
+        if (
+            variable is not None
+            and variable.causality != "input"
+            and variable.variability != "tunable"
+        ):
             kind = f"{variable.causality}, variability {variable.variability or 'not given'}"
             inputs = ", ".join(entry.name for entry in described.of("input")) or "none"
-            raise FmuError(f"its variable {link.set!r} is not an input ({kind}); its inputs are {inputs}")
+            raise FmuError(
+                f"its variable {link.set!r} is not an input ({kind}); its inputs are {inputs}"
+            )
 
 
 def _check_settable(described: Described, links: list[Link]) -> None:
@@ -385,4 +465,6 @@ def _check_settable(described: Described, links: list[Link]) -> None:
         variable = described.called(link.set)
         if variable is not None and not variable.settable:
             msg = f"its variable {link.set!r} cannot be set before a run"
-            raise FmuError(f"{msg} ({variable.causality}, initial {variable.initial or 'not given'})")
+            raise FmuError(
+                f"{msg} ({variable.causality}, initial {variable.initial or 'not given'})"
+            )

@@ -70,12 +70,18 @@ def tree_of(value: Any, arrays: list[NDArray[Any]]) -> Any:
         arrays.append(value)
         return {"array": len(arrays) - 1}
     if isinstance(value, tuple):
-        kind = "" if type(value) is tuple else f"{type(value).__module__}:{type(value).__name__}"
+        kind = (
+            ""
+            if type(value) is tuple
+            else f"{type(value).__module__}:{type(value).__name__}"
+        )
         return [kind, *(tree_of(member, arrays) for member in value)]
     return value.item() if isinstance(value, np.generic) else value
 
 
-def value_of(tree: Any, arrays: Sequence[NDArray[Any]], kind_of: Callable[[str], Any]) -> Any:
+def value_of(
+    tree: Any, arrays: Sequence[NDArray[Any]], kind_of: Callable[[str], Any]
+) -> Any:
     """The value of such a tree; `kind_of` gives the class of a named tuple.
 
     Raises:
@@ -111,7 +117,10 @@ def unpacked(read: Callable[[int], bytes]) -> ProcessMessage:
         raise FmuMessageError(f"a message of {size} and {numbers} bytes")
     try:
         header = json.loads(read(size))
-        shapes = [(_SIZES[kind], kind, tuple(map(int, shape))) for kind, shape in header.pop("arrays")]
+        shapes = [
+            (_SIZES[kind], kind, tuple(map(int, shape)))
+            for kind, shape in header.pop("arrays")
+        ]
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise FmuMessageError(f"a header that cannot be read: {error}") from error
     body = read(numbers)
@@ -176,7 +185,9 @@ class FmuProcess:
             FmuError: the package that reads FMUs is not installed.
         """
         if find_spec("fmpy") is None:
-            raise FmuError("FMUs need fmpy, which is not installed; pip install 'twinmatch[fmu]'")
+            raise FmuError(
+                "FMUs need fmpy, which is not installed; pip install 'twinmatch[fmu]'"
+            )
         self._folder = tempfile.TemporaryDirectory(prefix="twinmatch-fmu-")
         self.folder = Path(self._folder.name)
         self._lock = threading.Lock()
@@ -186,7 +197,11 @@ class FmuProcess:
         self._first = True
 
     def ask(
-        self, header: Mapping[str, Any], arrays: Sequence[NDArray[Any]] = (), *, limit: float
+        self,
+        header: Mapping[str, Any],
+        arrays: Sequence[NDArray[Any]] = (),
+        *,
+        limit: float,
     ) -> ProcessMessage:
         """Send a request and return the answer, within `limit` seconds, plus `START` for the first one and
         where a kernel is compiled or loaded first.
@@ -210,7 +225,9 @@ class FmuProcess:
                     message = unpacked(lambda size: self._read(size, deadline))
             except TimeoutError:
                 self.close()
-                raise ProcessLostError(f"it gave no answer within {limit:g} s and was killed") from None
+                raise ProcessLostError(
+                    f"it gave no answer within {limit:g} s and was killed"
+                ) from None
             except (FmuMessageError, OSError) as error:
                 raise ProcessLostError(self._cause(error)) from None
         if "error" in message.header:
@@ -256,7 +273,8 @@ def _wait(handle: int, event: int, deadline: float) -> None:
     time_left = deadline - time.monotonic()
     poll = select.poll()  # a node may have more open files than select supports
     poll.register(handle, event)
-    if time_left <= 0 or not poll.poll(min(1000.0 * time_left, 1e9)):  # beyond, poll overflows
+    if time_left <= 0 or not poll.poll(min(1000.0 * time_left, 1e9)):
+        # beyond, poll overflows
         raise TimeoutError
 
 
@@ -272,7 +290,11 @@ def _environment() -> dict[str, str]:
     }
 
 
-def _end(process: subprocess.Popen[bytes], folder: tempfile.TemporaryDirectory[str], mark: str) -> None:
+def _end(
+    process: subprocess.Popen[bytes],
+    folder: tempfile.TemporaryDirectory[str],
+    mark: str,
+) -> None:
     """Kill the process and all that it started, and delete its folder."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)

@@ -43,7 +43,14 @@ from twinmatch.fmu.archive import (
     digest_of,
 )
 from twinmatch.fmu.mapping import FmuMap, loading, read_maps, sample_time
-from twinmatch.fmu.process import START, FmuMessageError, FmuProcess, ProcessLostError, tree_of, value_of
+from twinmatch.fmu.process import (
+    START,
+    FmuMessageError,
+    FmuProcess,
+    ProcessLostError,
+    tree_of,
+    value_of,
+)
 from twinmatch.plants.records import MARK
 from twinmatch.signals import FloatArray
 
@@ -51,7 +58,9 @@ _SAMPLES = 1000
 """Samples that one FMU's `patience` is for."""
 _FINITE: Final = {"advance", "advance_side_by_side", "run", "run_with_tangents"}
 """Kernels whose results are refused unless all are finite."""
-_ANSWERED: Final = {f"{kind.__module__}:{kind.__name__}": kind for kind in (runs.Start, runs.Tangents)}
+_ANSWERED: Final = {
+    f"{kind.__module__}:{kind.__name__}": kind for kind in (runs.Start, runs.Tangents)
+}
 """Classes of values that an answer may have."""
 TESTED: Final = 300.0
 """Time over which memory is looked for, s, on a plant with a time constant of 100 s."""
@@ -86,20 +95,34 @@ def check_restart(model: Model) -> None:
     size = round(TESTED * plant_scale(plant, period) / period)
     low, high = plant.drive.limits
     ends = 0.5 * (plant.drive.rest + np.array([high, low]))
-    drive = np.concatenate([np.repeat(ends, _RESTART.short // 2), np.repeat([high, low], size // 2)])
+    drive = np.concatenate(
+        [np.repeat(ends, _RESTART.short // 2), np.repeat([high, low], size // 2)]
+    )
     y = float(np.mean(plant.output.set_points or plant.output.span))
     run = simulate_driven(parameters, drive, states=begin(parameters, y), period=period)
     for first, last in _stretches_of(drive):
-        after, outputs = _restarted_each(parameters, run.states[first:last], drive[first], period, run.steps)
+        after, outputs = _restarted_each(
+            parameters, run.states[first:last], drive[first], period, run.steps
+        )
         for k in range(first, min(last, drive.size - 1)):
             _require_same(
-                model, outputs[k - first, 0], run.output[k + 1], after[k - first], run.states[k + 1]
+                model,
+                outputs[k - first, 0],
+                run.output[k + 1],
+                after[k - first],
+                run.states[k + 1],
             )
     for k in (drive.size // 4, drive.size // 2, 3 * drive.size // 4):
-        restarted = simulate_driven(parameters, drive[k:], states=run.states[k], period=period)
+        restarted = simulate_driven(
+            parameters, drive[k:], states=run.states[k], period=period
+        )
         for j in range(drive.size - k):
             _require_same(
-                model, restarted.output[j], run.output[k + j], restarted.states[j], run.states[k + j]
+                model,
+                restarted.output[j],
+                run.output[k + j],
+                restarted.states[j],
+                run.states[k + j],
             )
 
 
@@ -131,12 +154,17 @@ def _require_same(
 ) -> None:
     spans = np.array([state.span[1] - state.span[0] for state in model.declared_states])
     deviations = np.abs(states - wanted) / spans if spans.size else np.zeros(1)
-    if abs(output - expected) <= model.plant.output.noise and deviations.max() <= _RESTART.tolerance:
+    if (
+        abs(output - expected) <= model.plant.output.noise
+        and deviations.max() <= _RESTART.tolerance
+    ):
         return
     difference = f"its output {output:g} instead of {expected:g}"
     if deviations.max() > _RESTART.tolerance:
         worst = int(np.argmax(deviations))
-        difference = f"{model.states[worst]} {states[worst]:g} instead of {wanted[worst]:g}"
+        difference = (
+            f"{model.states[worst]} {states[worst]:g} instead of {wanted[worst]:g}"
+        )
     raise FmuError(
         f"{model.title}: restarted from its states, the FMU has {difference}; it has internal states that "
         "its map does not name: name all, or export it without them"
@@ -179,7 +207,11 @@ class FmuKernels:
 
     def call(self, kernel: Any, *arguments: Any) -> Any:
         """The results of a kernel."""
-        evaluations = 1 if kernel.__name__ == "run" else 1 + 4 * (len(self.UNKNOWN) + len(self.STATES) + 1)
+        evaluations = (
+            1
+            if kernel.__name__ == "run"
+            else 1 + 4 * (len(self.UNKNOWN) + len(self.STATES) + 1)
+        )
         name = f"{kernel.__module__}:{kernel.__name__}"
         result = self._source.ask(name, self._unknown, arguments, evaluations)
         if kernel.__name__ in _FINITE:
@@ -188,15 +220,27 @@ class FmuKernels:
 
     def _require_finite(self, result: Any) -> None:
         if not all(np.isfinite(array).all() for array in _arrays(result)):
-            raise FmuError(f"{self._source.title}: the FMU has no finite values at these parameters")
+            raise FmuError(
+                f"{self._source.title}: the FMU has no finite values at these parameters"
+            )
 
-    def foresee_each(  # noqa: PLR0917 — as the kernel
+    def foresee_each(  # noqa: PLR0917
         self, sizes: NDArray[np.int64], vectors: FloatArray, which: NDArray[np.int64], states: FloatArray,
         covariances: FloatArray, process_noise: FloatArray, steps: NDArray[np.int64],
         wanted: NDArray[np.int64], *others: Any,
     ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
         """As `twinmatch.dynamics.variances.foresee_each`, of this FMU alone."""
-        given = sizes, vectors, which, states, covariances, process_noise, steps, wanted, *others
+        given = (
+            sizes,
+            vectors,
+            which,
+            states,
+            covariances,
+            process_noise,
+            steps,
+            wanted,
+            *others,
+        )
         means: FloatArray
         spreads: FloatArray
         means, spreads = self.call(variances.foresee_each, *given)
@@ -216,7 +260,9 @@ class FmuKernels:
     def normal_at(self, problem: LeastSquares, values: FloatArray, limit: float) -> Any:
         """As `twinmatch.dynamics.runs.normal_at`."""
         arguments = self._single_step(problem), values, limit
-        return self._source.ask("twinmatch.fmu.functions:normal_at", [], arguments, 1 + 2 * values.size)
+        return self._source.ask(
+            "twinmatch.fmu.functions:normal_at", [], arguments, 1 + 2 * values.size
+        )
 
     def search(self, problem: LeastSquares, state: Search) -> None:
         """Let a search run to its end, one request for each point."""
@@ -230,7 +276,9 @@ class FmuKernels:
 
     def _single_step(self, problem: LeastSquares) -> LeastSquares:
         """With one step per sample for co-simulation: no corners at which the fastest rate is searched."""
-        return problem if self._exchange else problem._replace(corners=problem.corners[:0])
+        return (
+            problem if self._exchange else problem._replace(corners=problem.corners[:0])
+        )
 
 
 def _arrays(result: Any) -> list[Any]:
@@ -308,7 +356,13 @@ class FmuSource:
             self.close()
         return StructureLostError(f"{self.title}: {self.lost}")
 
-    def ask(self, kernel: str, unknown: list[int], arguments: tuple[Any, ...], evaluations: int) -> Any:
+    def ask(
+        self,
+        kernel: str,
+        unknown: list[int],
+        arguments: tuple[Any, ...],
+        evaluations: int,
+    ) -> Any:
         """The results of a kernel, by module and name, which takes each sample about `each` times.
 
         Arrays that it changes are changed.
@@ -331,8 +385,12 @@ class FmuSource:
             process = self.start()
             try:
                 answer = process.ask(header, arrays, limit=limit)
-                result = value_of(answer.header["found"], answer.arrays, _ANSWERED.__getitem__)
-                changed = dict(zip(answer.header["changed"], answer.arrays, strict=False))
+                result = value_of(
+                    answer.header["found"], answer.arrays, _ANSWERED.__getitem__
+                )
+                changed = dict(
+                    zip(answer.header["changed"], answer.arrays, strict=False)
+                )
                 if any(array.shape != arrays[k].shape for k, array in changed.items()):
                     raise FmuMessageError("an array of another shape")
             except ProcessLostError as error:
@@ -340,7 +398,9 @@ class FmuSource:
             except FmuError as error:
                 raise FmuError(f"{self.title}: the FMU reports: {error}") from error
             except (FmuMessageError, KeyError, IndexError, TypeError) as error:
-                raise self.lose(f"the FMU's process gave an invalid answer: {error}") from error
+                raise self.lose(
+                    f"the FMU's process gave an invalid answer: {error}"
+                ) from error
         for k, array in changed.items():
             arrays[k][...] = array
         return result
@@ -351,11 +411,16 @@ class FmuSource:
         process = FmuProcess()
         try:
             question, self._kind = loading(fmu, described_by(fmu.file, process))
-            files = {"file": str(fmu.file.resolve()), "folder": str(process.folder / "fmu")}
+            files = {
+                "file": str(fmu.file.resolve()),
+                "folder": str(process.folder / "fmu"),
+            }
             process.ask({**question, **files, "digest": self._digest}, limit=START)
         except ProcessLostError as error:
             process.close()
-            raise FmuError(f"{fmu.place}: {fmu.file} cannot be loaded: {error}") from error
+            raise FmuError(
+                f"{fmu.place}: {fmu.file} cannot be loaded: {error}"
+            ) from error
         except FmuError as error:
             process.close()
             raise FmuError(f"{fmu.place}: {error}") from error
@@ -383,9 +448,15 @@ def _adopt(fmu: FmuMap) -> Model:
     digest = _digest(fmu)
     name = f"{fmu.name} (FMU {_mark(fmu, digest)})"
     structure = fmu.plant.structures.get(name)
-    if structure is not None and structure.external is not None and not structure.external.lost:
+    if (
+        structure is not None
+        and structure.external is not None
+        and not structure.external.lost
+    ):
         return fmu.plant.model(name)
-    for outdated in [n for n in fmu.plant.structures if unmarked(n) == fmu.name and n != fmu.name]:
+    for outdated in [
+        n for n in fmu.plant.structures if unmarked(n) == fmu.name and n != fmu.name
+    ]:
         fmu.plant.disown(outdated)
     source = FmuSource(fmu, name, digest)
     model = fmu.plant.adopt(
@@ -413,13 +484,19 @@ def _adopt(fmu: FmuMap) -> Model:
 
 def _digest(fmu: FmuMap) -> str:
     if not fmu.file.is_file():  # a pipe or a device would never end
-        raise FmuError(f"{fmu.place}: {fmu.file} does not exist or is not a file; give the path of an FMU")
+        raise FmuError(
+            f"{fmu.place}: {fmu.file} does not exist or is not a file; give the path of an FMU"
+        )
     try:
         if fmu.file.stat().st_size > MAX_BYTES:
-            raise FmuError(f"{fmu.place}: {fmu.file} is larger than the limit of {MAX_BYTES >> 20} MiB")
+            raise FmuError(
+                f"{fmu.place}: {fmu.file} is larger than the limit of {MAX_BYTES >> 20} MiB"
+            )
         return digest_of(fmu.file)
     except OSError as error:
-        raise FmuError(f"{fmu.place}: {fmu.file} cannot be read: {error.strerror}") from error
+        raise FmuError(
+            f"{fmu.place}: {fmu.file} cannot be read: {error.strerror}"
+        ) from error
 
 
 def _in_order(table: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -453,7 +530,10 @@ def described_by(file: Path, process: FmuProcess) -> Described:
     if not file.is_file():
         raise FmuError(f"{file}: does not exist; give the path of an FMU")
     try:
-        asked = {"file": str(file.resolve()), "folder": str(process.folder / "description")}
+        asked = {
+            "file": str(file.resolve()),
+            "folder": str(process.folder / "description"),
+        }
         answer = process.ask({"ask": "describe", **asked}, limit=START)
         return described_from(dict(answer.header["described"]))
     except ProcessLostError as error:

@@ -90,9 +90,13 @@ class LoadedFmu:
         self._load = load
         self._m = len(load["parameters"])
         self._n = len(load["starts"])
-        self._formulas = [Formula(f"start of a state of {described.name}", text) for text in load["starts"]]
+        self._formulas = [
+            Formula(f"start of a state of {described.name}", text)
+            for text in load["starts"]
+        ]
         references = {
-            name: np.array(of_variables, dtype=np.uint32) for name, of_variables in load["references"].items()
+            name: np.array(of_variables, dtype=np.uint32)
+            for name, of_variables in load["references"].items()
         }
         self._memory = machine.memory_for(self._m, self._n, len(references["inputs"]))
         self.machine = machine.machine_of.py_func(*self._memory)  # type: ignore[attr-defined]
@@ -143,8 +147,14 @@ class LoadedFmu:
 
     def _address(self, name: str) -> int:
         name = machine.NAMES_3.get(name, name) if self._major == 3 else name
-        function = getattr(self._fmu.dll, f"fmi{self._major}{name}", None) if name else None
-        return 0 if function is None else int(ctypes.cast(function, ctypes.c_void_p).value or 0)
+        function = (
+            getattr(self._fmu.dll, f"fmi{self._major}{name}", None) if name else None
+        )
+        return (
+            0
+            if function is None
+            else int(ctypes.cast(function, ctypes.c_void_p).value or 0)
+        )
 
     def _renew(self) -> int:
         """Replace the instance, for an FMU that cannot be reset; returns a status."""
@@ -169,7 +179,9 @@ class LoadedFmu:
             out[n + i] = _slope(formula, values, output, (y[0] + reach, y[0] - reach))
             for j, k in enumerate(unknown):
                 ends = functions.ends_of.py_func(self.machine, k, p[k])  # type: ignore[attr-defined]
-                out[2 * n + i * len(unknown) + j] = _slope(formula, values, names[k], ends)
+                out[2 * n + i * len(unknown) + j] = _slope(
+                    formula, values, names[k], ends
+                )
 
     def _values_at(self, y: float, u: float, d: Any, p: Any) -> dict[str, float]:
         """Output, drive, disturbances and parameters by name, for the formulas of initial states."""
@@ -181,7 +193,9 @@ class LoadedFmu:
         return values
 
 
-def _slope(formula: Formula, values: Mapping[str, float], name: str, ends: tuple[float, float]) -> float:
+def _slope(
+    formula: Formula, values: Mapping[str, float], name: str, ends: tuple[float, float]
+) -> float:
     """The derivative of a formula by one of its values, from those at both ends, the higher one first."""
     high, low = ends
     rise = formula({**values, name: high}) - formula({**values, name: low})
@@ -198,19 +212,26 @@ def _instance(folder: Path, described: Described, kind: str) -> Any:
     Raises:
         FmuRunError: it has none for this machine, or that refuses.
     """
-    from fmpy import fmi2, fmi3, platform, platform_tuple  # noqa: PLC0415 (an extra)
+    from fmpy import fmi2, fmi3, platform, platform_tuple  # noqa: PLC0415
 
     major = int(described.version[0])
     machine_name = platform if major == 2 else platform_tuple
     if machine_name not in described.platforms:
         available = ", ".join(described.platforms) or "no platform"
-        raise FmuRunError(f"it has binaries for {available}; this machine is {machine_name}")
-    classes = {2: (fmi2.FMU2Model, fmi2.FMU2Slave), 3: (fmi3.FMU3Model, fmi3.FMU3Slave)}[major]
+        raise FmuRunError(
+            f"it has binaries for {available}; this machine is {machine_name}"
+        )
+    classes = {
+        2: (fmi2.FMU2Model, fmi2.FMU2Slave),
+        3: (fmi3.FMU3Model, fmi3.FMU3Slave),
+    }[major]
     identifier = described.identifiers[described.kinds.index(kind)]
     library = folder / "binaries" / machine_name / f"{identifier}.so"
     name = library.relative_to(folder)
     if not library.is_file():
-        raise FmuRunError(f"it has no {name}, the program for this machine; export it again")
+        raise FmuRunError(
+            f"it has no {name}, the program for this machine; export it again"
+        )
     try:
         fmu = classes[kind == CO_SIMULATION](
             guid=described.guid,
@@ -221,11 +242,15 @@ def _instance(folder: Path, described: Described, kind: str) -> Any:
         )
     except Exception as error:  # FMPy raises many kinds
         why = str(error).rpartition(f"{library}: ")[2]
-        raise FmuRunError(f"its {name} is not a library for this machine: {why}") from error
+        raise FmuRunError(
+            f"its {name} is not a library for this machine: {why}"
+        ) from error
     try:
         fmu.instantiate()
     except Exception as error:
-        raise FmuRunError(f"it cannot be instantiated ({error}): is it complete, and its licence?") from error
+        raise FmuRunError(
+            f"it cannot be instantiated ({error}): is it complete, and its licence?"
+        ) from error
     return fmu
 
 
@@ -264,7 +289,9 @@ class FmuWorker:
         file = Path(message.header["file"])
         folder = Path(message.header["folder"])
         if digest_of(file) != message.header["digest"]:
-            raise FmuRunError("the file has changed since it was added to the plant; start again")
+            raise FmuRunError(
+                "the file has changed since it was added to the plant; start again"
+            )
         unpack(file, folder)
         self._fmu = LoadedFmu(folder, message.header)
         return packed({})
@@ -286,7 +313,10 @@ class FmuWorker:
         kinds = tuple(map(numba.typeof, whole))
         if kinds not in kernel.overloads:
             self._say(packed({"loading": True}))
-            signal.alarm(math.ceil(min(2 * header["limit"] + START, _TIME_LIMIT.most)) + _TIME_LIMIT.grace)
+            signal.alarm(
+                math.ceil(min(2 * header["limit"] + START, _TIME_LIMIT.most))
+                + _TIME_LIMIT.grace
+            )
             kernel.compile(kinds)
             self._say(packed({"loading": False}))
         result = kernel(*whole)
@@ -316,7 +346,10 @@ def main() -> None:
         while True:
             message = unpacked(lambda size: _read(questions, size))
             # If the parent has ended, nobody else ends an FMU that hangs and lets no other thread run.
-            signal.alarm(math.ceil(min(message.header["limit"], _TIME_LIMIT.most)) + _TIME_LIMIT.grace)
+            signal.alarm(
+                math.ceil(min(message.header["limit"], _TIME_LIMIT.most))
+                + _TIME_LIMIT.grace
+            )
             worker.answer(message)
             signal.alarm(0)
     _leave(folder)
@@ -331,7 +364,10 @@ def _read(questions: BinaryIO, size: int) -> bytes:
 
 def _limit() -> None:
     """Limit the memory and the file sizes of the FMU."""
-    used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    used = (
+        int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        * resource.getpagesize()
+    )
     for limit, most in (
         (resource.RLIMIT_AS, used + MEMORY),
         (resource.RLIMIT_FSIZE, MAX_BYTES),

@@ -76,8 +76,12 @@ def arrival(outlook: Outlook, question: ArrivalQuestion) -> Arrival:
     """
     plant = outlook.parameters.model.plant
     if not plant.single:
-        raise ForecastError(f"arrival: plant {plant.name} has several loops; ask for one with a single loop")
-    tolerance = NEAR * plant.output.noise if question.tolerance is None else question.tolerance
+        raise ForecastError(
+            f"arrival: plant {plant.name} has several loops; ask for one with a single loop"
+        )
+    tolerance = (
+        NEAR * plant.output.noise if question.tolerance is None else question.tolerance
+    )
     search = _Arrivals(outlook, question.level, tolerance)
     size = _samples_to_look(outlook, question)
     standing = one_of_each("level", outlook.standing)
@@ -87,7 +91,9 @@ def arrival(outlook: Outlook, question: ArrivalQuestion) -> Arrival:
     moved = search.moment(moved_forecast)
     beginning = None
     if question.by is not None:
-        beginning = _beginning(search, move, math.floor(question.by / outlook.period * (1 + 1e-9)))
+        beginning = _beginning(
+            search, move, math.floor(question.by / outlook.period * (1 + 1e-9))
+        )
     return Arrival(
         question.level,
         tolerance,
@@ -124,7 +130,8 @@ class _Arrivals:
         """When the level is reached if the move is made after so many samples; an output that passes the
         level before that is not there."""
         standing = one_of_each("level", self.outlook.standing)
-        time = (samples + 1) * self.outlook.period  # the first sample ahead is one period away
+        # the first sample ahead is one period away
+        time = (samples + 1) * self.outlook.period
         forecast = self.forecast(SetPoints(standing, (time,), (move,)), size)
         return self.moment(_from_sample(forecast, samples))
 
@@ -148,7 +155,11 @@ def _samples_to_look(outlook: Outlook, question: ArrivalQuestion) -> int:
     """Samples ahead: those until the time asked for or, without one, as many as may be looked."""
     if question.by is None:
         return question.longest
-    size = math.floor(question.by / outlook.period * (1 + 1e-9)) if math.isfinite(question.by) else 0
+    size = (
+        math.floor(question.by / outlook.period * (1 + 1e-9))
+        if math.isfinite(question.by)
+        else 0
+    )
     if not 1 <= size <= question.longest:
         raise ForecastError(
             f"arrival: the time is {question.by:g} s ahead; give one of {outlook.period:g} to "
@@ -205,4 +216,6 @@ def _note_on_reach(size: int, outlook: Outlook) -> tuple[str, ...]:
     judged = outlook.leads[-1]
     if size <= judged:
         return ()
-    return (f"the width of the band is learned up to {judged * outlook.period:g} s ahead, and not beyond",)
+    return (
+        f"the width of the band is learned up to {judged * outlook.period:g} s ahead, and not beyond",
+    )

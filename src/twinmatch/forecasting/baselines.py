@@ -12,8 +12,6 @@ All orders are fitted at once: columns are ordered by lag, so that every lower o
 triangular factor. That factor is updated, so that the model is fitted live at every forecast.
 """
 
-# ruff: noqa: PLR0917 (kernels take arrays in a row)
-
 from __future__ import annotations
 
 from dataclasses import replace
@@ -44,7 +42,7 @@ _TINY: Final = float(np.finfo(np.float64).tiny)
 
 
 @compiled
-def _simulate(
+def _simulate(  # noqa: PLR0917
     coefficients: FloatArray,
     level: FloatArray,
     past: FloatArray,
@@ -176,7 +174,9 @@ class Arx:
         if len(self._newest) - self._learned >= _BLOCK:
             self._fit = self._fit_now()
             if not self._is_whole:
-                self._newest = self._without_lost(self._coefficients(self._fit), self._fit.level)
+                self._newest = self._without_lost(
+                    self._coefficients(self._fit), self._fit.level
+                )
             self._newest = self._newest[-MAX_ORDER:]
             self._learned = MAX_ORDER
 
@@ -190,7 +190,11 @@ class Arx:
         """The model at the newest sample, with the controller's state after it."""
         fit = self._fit_now()
         coefficients = self._coefficients(fit)
-        newest = self._newest if self._is_whole else self._without_lost(coefficients, fit.level)
+        newest = (
+            self._newest
+            if self._is_whole
+            else self._without_lost(coefficients, fit.level)
+        )
         past = _rows_of(newest)[::-1]
         # After a gap the model waits until it has as many samples as its order.
         order = coefficients.shape[1] // past.shape[1]
@@ -199,19 +203,31 @@ class Arx:
             order = 0
         newest_rows = np.ascontiguousarray(past[: max(order, 1)])
         standing = self._standing()
-        return ArxForecast(coefficients, fit.level, newest_rows, standing, self._spans, self._law, controller)
+        return ArxForecast(
+            coefficients,
+            fit.level,
+            newest_rows,
+            standing,
+            self._spans,
+            self._law,
+            controller,
+        )
 
     @property
     def _spans(self) -> FloatArray:
         """Limits of each forecast output: one width beyond what was visited."""
-        return np.array([(low - (high - low), high + (high - low)) for low, high in self.visited])
+        return np.array(
+            [(low - (high - low), high + (high - low)) for low, high in self.visited]
+        )
 
     @property
     def _is_whole(self) -> bool:
         """Whether all of the newest samples were read."""
         return all(sample.seen for sample in self._newest)
 
-    def _without_lost(self, coefficients: FloatArray, level: FloatArray) -> list[Sample]:
+    def _without_lost(
+        self, coefficients: FloatArray, level: FloatArray
+    ) -> list[Sample]:
         """The newest samples, with the model's own expectation in place of outputs that were not read: what
         stands in for those is the twin's."""
         rows = _rows_of(self._newest)
@@ -223,7 +239,9 @@ class Arx:
             if sample.seen or not 0 < order <= k:
                 continue
             lags = (rows[k - order : k][::-1] - level).ravel()
-            expected = rows[k - 1, :outputs] + coefficients[:, 0] + coefficients[:, 1:] @ lags
+            expected = (
+                rows[k - 1, :outputs] + coefficients[:, 0] + coefficients[:, 1:] @ lags
+            )
             rows[k, :outputs] = np.clip(expected, spans[:, 0], spans[:, 1])
             samples[k] = replace(sample, outputs=tuple(rows[k, :outputs].tolist()))
         return samples
@@ -231,7 +249,9 @@ class Arx:
     def _standing(self) -> FloatArray:
         """Outputs as they were read last, and the newest inputs."""
         newest = self._newest[-1]
-        read = next((sample for sample in reversed(self._newest) if sample.seen), newest)
+        read = next(
+            (sample for sample in reversed(self._newest) if sample.seen), newest
+        )
         return np.array([*read.outputs, *newest.inputs])
 
     def _fit_now(self) -> _Fit:
@@ -288,13 +308,18 @@ class Arx:
         return np.ascontiguousarray((scaled / scale[:, None]).T)
 
 
-def _aicc(covariances: FloatArray, sizes: NDArray[np.int64], samples: float) -> FloatArray:
+def _aicc(
+    covariances: FloatArray, sizes: NDArray[np.int64], samples: float
+) -> FloatArray:
     """AICc of models with these covariances of the residuals, shape (n, o, o), and numbers of coefficients of
     each output, shape (n,)."""
     o = covariances.shape[1]
     spread = np.maximum(np.linalg.det(covariances), _TINY)
     estimated = o * sizes + o * (o + 1) / 2
-    return np.asarray(samples * np.log(spread) + 2.0 * estimated * samples / (samples - sizes - o - 1.0))
+    return np.asarray(
+        samples * np.log(spread)
+        + 2.0 * estimated * samples / (samples - sizes - o - 1.0)
+    )
 
 
 def _with_whole_past(is_received: NDArray[np.bool_], first: int) -> NDArray[np.int64]:
@@ -306,4 +331,6 @@ def _with_whole_past(is_received: NDArray[np.bool_], first: int) -> NDArray[np.i
 
 def _rows_of(samples: list[Sample]) -> FloatArray:
     """Outputs, inputs and disturbances, one sample per row."""
-    return np.array([(*sample.outputs, *sample.inputs, *sample.disturbances) for sample in samples])
+    return np.array(
+        [(*sample.outputs, *sample.inputs, *sample.disturbances) for sample in samples]
+    )

@@ -49,7 +49,9 @@ class Forecast:
     """Share of the samples that the band is to hold."""
     time: Annotated[FloatArray, RISING]
     """Seconds after `sample`, shape (N,); the first is one period."""
-    references: Annotated[FloatArray, SentAs("reference"), _BY_TIME, Within(-LARGEST, LARGEST)]
+    references: Annotated[
+        FloatArray, SentAs("reference"), _BY_TIME, Within(-LARGEST, LARGEST)
+    ]
     """Set-points for which it is made, shape (N, r), or (N,) for one; NaN if the loop is not known: it is
     made for `inputs`."""
     outputs: Annotated[tuple[Band, ...], SentAs("output"), _BY_TIME, FINITE]
@@ -58,7 +60,9 @@ class Forecast:
     """Sentences on what the band does not cover: a fault, a level never visited."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "references", np.reshape(self.references, (self.time.size, -1)))
+        object.__setattr__(
+            self, "references", np.reshape(self.references, (self.time.size, -1))
+        )
 
     @property
     def closed(self) -> bool:
@@ -67,15 +71,24 @@ class Forecast:
 
     def alone(self, k: int) -> Forecast:
         """Its k-th output and input, with the set-point of that output; of fewer the last."""
-        outputs, inputs = (bands[min(k, len(bands) - 1)] for bands in (self.outputs, self.inputs))
-        return replace(self, references=column_of(self.references, k), outputs=(outputs,), inputs=(inputs,))
+        outputs, inputs = (
+            bands[min(k, len(bands) - 1)] for bands in (self.outputs, self.inputs)
+        )
+        return replace(
+            self,
+            references=column_of(self.references, k),
+            outputs=(outputs,),
+            inputs=(inputs,),
+        )
 
     def at(self, samples: Sequence[int]) -> Forecast:
         """Only what it says of so many samples ahead, counted from 1."""
         rows = np.array(samples) - 1
 
         def thinned(bands: tuple[Band, ...]) -> tuple[Band, ...]:
-            return tuple(Band(band.mean[rows], band.low[rows], band.high[rows]) for band in bands)
+            return tuple(
+                Band(band.mean[rows], band.low[rows], band.high[rows]) for band in bands
+            )
 
         return replace(
             self,

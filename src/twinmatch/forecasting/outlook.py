@@ -181,7 +181,9 @@ def foresight_of(
 @functools.cache
 def _least_variances(plant: type[Plant]) -> FloatArray:
     """Least variance of each output and input that is forecast, shape (o + m, 1)."""
-    least = [0.0] * len(plant.outputs) + [(_MIN_NOISE * drive.noise) ** 2 for drive in plant.drives.values()]
+    least = [0.0] * len(plant.outputs) + [
+        (_MIN_NOISE * drive.noise) ** 2 for drive in plant.drives.values()
+    ]
     return np.array(least)[:, None]
 
 
@@ -227,21 +229,27 @@ class Followers:
             state_filter.take_moved(samples, count)
 
 
-def _move_on(bank: ObserverBank, inputs: Signals, samples: Sequence[Sample]) -> list[int]:
+def _move_on(
+    bank: ObserverBank, inputs: Signals, samples: Sequence[Sample]
+) -> list[int]:
     """Move a bank on over samples, under these inputs to the first; how many each observer took."""
     inputs_now = [sample.inputs for sample in samples]
     return bank.push(
         [inputs, *inputs_now[:-1]],
         [sample.outputs for sample in samples],
         [sample.seen for sample in samples],
-        [sample.disturbances for sample in samples] if samples[0].disturbances else None,
+        [sample.disturbances for sample in samples]
+        if samples[0].disturbances
+        else None,
         inputs_now,
     )
 
 
 def _spans_of_states(model: Model) -> FloatArray:
     """Width of the span that is declared for each state, shape (n,)."""
-    low, high = np.array([state.span for state in model.declared_states], dtype=np.float64).T
+    low, high = np.array(
+        [state.span for state in model.declared_states], dtype=np.float64
+    ).T
     return np.asarray(high - low, dtype=np.float64)
 
 
@@ -298,7 +306,11 @@ class Outlook:
         return plant.output if self.closed else plant.drive
 
     def predicted(
-        self, ahead: ArrayLike, disturbances: ArrayLike | None = None, *, banded: bool = True
+        self,
+        ahead: ArrayLike,
+        disturbances: ArrayLike | None = None,
+        *,
+        banded: bool = True,
     ) -> LoopForecast:
         """Mean and, if `banded`, variance of the next N samples under these set-points or inputs, shape (N,)
         or (N, r).
@@ -307,11 +319,17 @@ class Outlook:
         """
         if disturbances is None and self.sample.disturbances:
             disturbances = np.array(self.sample.disturbances)
-        foresight = foresight_of([(self.parameters, self.unsure)], self.law, self.period)
-        loop_state = foresight.at([self.states], [self.covariance], self.sample.inputs, self.controller)
+        foresight = foresight_of(
+            [(self.parameters, self.unsure)], self.law, self.period
+        )
+        loop_state = foresight.at(
+            [self.states], [self.covariance], self.sample.inputs, self.controller
+        )
         return foresight.ahead(loop_state, ahead, disturbances, banded=banded)
 
-    def forecast(self, ahead: ArrayLike, disturbances: ArrayLike | None = None) -> Forecast:
+    def forecast(
+        self, ahead: ArrayLike, disturbances: ArrayLike | None = None
+    ) -> Forecast:
         """Forecast under these set-points, or inputs if the loop is not known, shape (N,) or (N, r), from the
         next sample on; disturbances as in `predicted`.
 
@@ -319,13 +337,19 @@ class Outlook:
             ForecastError: there is no value, or one that is not finite.
         """
         values = np.array(ahead, dtype=np.float64)
-        if values.ndim not in (1, 2) or not values.size or not np.isfinite(values).all():
+        if (
+            values.ndim not in (1, 2)
+            or not values.size
+            or not np.isfinite(values).all()
+        ):
             signals = "set-points" if self.closed else "inputs"
             msg = f"forecast: the {signals} ahead are not a list of finite numbers; give one for each sample"
             raise ForecastError(msg)
         predicted = self.predicted(values, disturbances)
         size = len(values)
-        expected = deviations(self.parameters.model, predicted.variances)[: len(self.widths)]
+        expected = deviations(self.parameters.model, predicted.variances)[
+            : len(self.widths)
+        ]
         half = expected * self._widths_ahead(size)
         n_outputs = predicted.outputs.shape[1]
         y = predicted.means[:n_outputs]
@@ -342,10 +366,14 @@ class Outlook:
             references=values if self.closed else np.full((size, n_outputs), np.nan),
             outputs=tuple(output_bands),
             inputs=self._input_bands(u, half[n_outputs:]),
-            notes=self.notes + self._assumptions(values, disturbances) + self._notes_on_range(y),
+            notes=self.notes
+            + self._assumptions(values, disturbances)
+            + self._notes_on_range(y),
         )
 
-    def _assumptions(self, ahead: FloatArray, disturbances: ArrayLike | None) -> tuple[str, ...]:
+    def _assumptions(
+        self, ahead: FloatArray, disturbances: ArrayLike | None
+    ) -> tuple[str, ...]:
         """Notes on assumptions: given inputs, and constant disturbances."""
         plant = self.parameters.model.plant
         notes = []
@@ -353,12 +381,18 @@ class Outlook:
             inputs_ahead = "the given inputs"
             if (ahead.reshape(len(ahead), -1) == self.sample.inputs).all():
                 drives = zip(self.sample.inputs, plant.drives.values(), strict=True)
-                level = " and ".join(f"{u:g} {drive.unit}".rstrip() for u, drive in drives)
+                level = " and ".join(
+                    f"{u:g} {drive.unit}".rstrip() for u, drive in drives
+                )
                 inputs_ahead = f"a constant input of {level}"
             notes.append(f"the loop is not known: the forecast is for {inputs_ahead}")
         if self.sample.disturbances and disturbances is None:
-            names = " and ".join(column.text or column.name for column in plant.disturbances.values())
-            notes.append(f"the forecast assumes that the measured disturbances ({names}) stay constant")
+            names = " and ".join(
+                column.text or column.name for column in plant.disturbances.values()
+            )
+            notes.append(
+                f"the forecast assumes that the measured disturbances ({names}) stay constant"
+            )
         return tuple(notes)
 
     def _input_bands(self, means: FloatArray, halves: FloatArray) -> tuple[Band, ...]:
@@ -387,7 +421,9 @@ class Outlook:
         """A note for each output whose forecast leaves the visited range."""
         notes = []
         declared = self.parameters.model.plant.outputs
-        for output, values, visited in zip(declared.values(), outputs, self.visited, strict=True):
+        for output, values, visited in zip(
+            declared.values(), outputs, self.visited, strict=True
+        ):
             room = _MARGIN * output.noise
             low, high = visited
             lowest = float(values.min())

@@ -100,8 +100,11 @@ class Calibration:
         self._end = [_HALF_NORMAL.size] * len(leads)
         self._learned = [0] * len(leads)
         # By age, beginning with the weight of the newest quotient.
-        self._weights: list[float] = np.cumprod([1.0, *[kept] * _HALF_NORMAL.size]).tolist()
-        self._sums = np.zeros((signals, len(leads)))  # of the newest quotients, weighted
+        self._weights: list[float] = np.cumprod(
+            [1.0, *[kept] * _HALF_NORMAL.size]
+        ).tolist()
+        # of the newest quotients, weighted
+        self._sums = np.zeros((signals, len(leads)))
         self._counts = np.zeros(len(leads))  # sums of their weights
         self._quantiles = np.zeros((signals, len(leads)))
         self._inside = np.zeros((signals, len(leads)))
@@ -137,14 +140,18 @@ class Calibration:
         self._compared[learned] = self._kept * self._compared[learned] + 1.0
         self.add(learned, at_leads)
 
-    def coverage(self, before: int, last: int, signal: int | None = None) -> tuple[float, float]:
+    def coverage(
+        self, before: int, last: int, signal: int | None = None
+    ) -> tuple[float, float]:
         """Share of the readings that the bands have held, and how many forecasts that rests on.
 
         It is the share at leads after `before` up to `last`, of one `signal` or the least of all. The number
         is effective and of forecasts that do not overlap. Both are NaN without any.
         """
         compared = [
-            k for k, lead in enumerate(self.leads) if before < lead <= last and self._compared[k] > 0.0
+            k
+            for k, lead in enumerate(self.leads)
+            if before < lead <= last and self._compared[k] > 0.0
         ]
         if not compared:
             return np.nan, np.nan
@@ -169,8 +176,12 @@ class Calibration:
             weight_of_oldest = self._weights[min(size, self._learned[lead])]
             if weight_of_oldest < _NEGLIGIBLE:
                 self._first[lead] += 1
-        self._sums[:, leads] = self._recent * self._sums[:, leads] + self._uncovered[leads] * quotients
-        self._counts[leads] = self._recent * self._counts[leads] + self._uncovered[leads]
+        self._sums[:, leads] = (
+            self._recent * self._sums[:, leads] + self._uncovered[leads] * quotients
+        )
+        self._counts[leads] = (
+            self._recent * self._counts[leads] + self._uncovered[leads]
+        )
         self._stale.update(leads)
 
     def _make_room(self, lead: int) -> None:
@@ -178,7 +189,9 @@ class Calibration:
         first = self._first[lead]
         end = self._end[lead]
         if 2 * (end - first) > end:
-            self._quotients = np.concatenate([self._quotients, np.zeros_like(self._quotients)], axis=2)
+            self._quotients = np.concatenate(
+                [self._quotients, np.zeros_like(self._quotients)], axis=2
+            )
             return
         self._quotients[lead, :, : end - first] = self._quotients[lead, :, first:end]
         self._first[lead] = 0
@@ -208,7 +221,9 @@ class Calibration:
         for signal in np.flatnonzero(self._is_output):
             scale = 1.0
             scales_of_output = []
-            for share, of_error in zip(shares.tolist(), of_errors[signal].tolist(), strict=True):
+            for share, of_error in zip(
+                shares.tolist(), of_errors[signal].tolist(), strict=True
+            ):
                 scale = share * scale + of_error
                 scales_of_output.append(scale)
             scales[signal] = scales_of_output
@@ -291,7 +306,9 @@ class Ledger:
         """Columns, one for each baseline and then for each baseline and signal, of the mean square of the
         difference of both errors, relative to their means; before there is one it counts as large as the
         errors, 1. The first are those of the mean over the signals."""
-        self._new_account = np.concatenate([[0.0, 0.0, _ACCOUNTS.prior], sizes, squares])
+        self._new_account = np.concatenate(
+            [[0.0, 0.0, _ACCOUNTS.prior], sizes, squares]
+        )
         """A new account at a horizon: see `_LENGTH` and those after it."""
         self._rows: dict[str | int, int] = {}
         """Row of each candidate by name, and of each baseline by its place among `BASELINES`."""
@@ -306,13 +323,19 @@ class Ledger:
         new = np.tile(self._new_account, (self.horizons, 1))
         accounts = {}
         for name, source in sources:
-            accounts[name] = self._accounts[self._rows[source]] if source in self._rows else new
+            accounts[name] = (
+                self._accounts[self._rows[source]] if source in self._rows else new
+            )
         self._accounts = np.array([*accounts.values(), new])
         self._rows = {name: row for row, name in enumerate(accounts)}
 
     def keep(self, names: Iterable[str]) -> None:
         """Keep only the accounts of these candidates."""
-        self._set((name, name) for name in (*range(len(BASELINES)), *names) if name in self._rows)
+        self._set(
+            (name, name)
+            for name in (*range(len(BASELINES)), *names)
+            if name in self._rows
+        )
 
     def inherit(self, name: str, predecessor: str) -> None:
         """Give a candidate a copy of its predecessor's account, if there is one."""
@@ -320,7 +343,13 @@ class Ledger:
             standing = [(candidate, candidate) for candidate in self._rows]
             self._set([*standing, (name, predecessor)])
 
-    def add(self, names: Sequence[str], errors: FloatArray, baselines: FloatArray, horizon: int) -> None:
+    def add(
+        self,
+        names: Sequence[str],
+        errors: FloatArray,
+        baselines: FloatArray,
+        horizon: int,
+    ) -> None:
         """Add the errors (measured minus forecast) of the forecasts from one sample.
 
         They are those of the candidates, shape (C, signals, N), and those of `BASELINES`, in that order.
@@ -332,7 +361,9 @@ class Ledger:
         sizes = np.abs(np.concatenate([baselines, errors]))
         means = np.ascontiguousarray(sizes.swapaxes(1, 2)).mean(axis=1)
         account = self._accounts[rows, horizon]
-        account[:, _LENGTH] = self.kept * account[:, _LENGTH] + self._characters(account, means)
+        account[:, _LENGTH] = self.kept * account[:, _LENGTH] + self._characters(
+            account, means
+        )
         account[:, _WEIGHT] = self.kept * account[:, _WEIGHT] + 1.0
         self._average_sizes(account, means)
         self._accounts[rows, horizon] = account
@@ -353,9 +384,13 @@ class Ledger:
         account[:, _COUNTED] = counted[:, 0]
         of_baselines = np.tile(means[: len(BASELINES)].ravel(), (len(means), 1))
         sizes_beside = np.hstack([means, of_baselines])
-        account[:, self._sizes] = (before * account[:, self._sizes] + sizes_beside) / counted
+        account[:, self._sizes] = (
+            before * account[:, self._sizes] + sizes_beside
+        ) / counted
         squares = _squared_differences(sizes_beside / account[:, self._sizes])
-        account[:, self._squares] = (before * account[:, self._squares] + squares) / counted
+        account[:, self._squares] = (
+            before * account[:, self._squares] + squares
+        ) / counted
 
     def _characters(self, account: FloatArray, means: FloatArray) -> FloatArray:
         """Length of the readings with these mean errors, shape (accounts, signals), in characters, each given
@@ -365,7 +400,9 @@ class Ledger:
         characters = np.log10(2.0 * widths) + means / (widths * _LN10)
         return np.asarray(characters.sum(axis=1))
 
-    def skills(self, name: str, signal: int | None = None) -> tuple[FloatArray, FloatArray]:
+    def skills(
+        self, name: str, signal: int | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Skill of a candidate at each horizon beside each of `BASELINES`, and the upper end of its one-sided
         95 % interval, shape (baselines, H) each.
 
@@ -394,7 +431,11 @@ class Ledger:
 
     def forecasts(self, name: str) -> float:
         """Effective number of a candidate's scored forecasts at all horizons, older ones weighted less."""
-        return float(self._accounts[self._rows[name], :, _WEIGHT].sum()) if name in self._rows else 0.0
+        return (
+            float(self._accounts[self._rows[name], :, _WEIGHT].sum())
+            if name in self._rows
+            else 0.0
+        )
 
     def gains(self, names: Sequence[str]) -> FloatArray:
         """Characters saved per forecast of the signals, by horizon; shape (len(names), H).
@@ -408,7 +449,9 @@ class Ledger:
         weights = accounts[:, :, _WEIGHT]
         first, counts = self._accounts[self._rows[0], :, :_COUNTED].T
         trivial = np.where(counts > 0.0, first, np.nan) / np.maximum(counts, 1e-300)
-        return np.asarray((weights * trivial - lengths) / (weights + _ACCOUNTS.shrinkage))
+        return np.asarray(
+            (weights * trivial - lengths) / (weights + _ACCOUNTS.shrinkage)
+        )
 
 
 def _squared_differences(relative: FloatArray) -> FloatArray:

@@ -47,9 +47,13 @@ class SetPoints:
             )
         self._check_level(f"the {self.kind} now", self.before)
         before = -math.inf
-        for number, (time, level) in enumerate(zip(self.times, self.levels, strict=True), 1):
+        for number, (time, level) in enumerate(
+            zip(self.times, self.levels, strict=True), 1
+        ):
             if not math.isfinite(time):
-                raise ForecastError(f"profile: row {number}: the time is {time:g} s; give a finite time")
+                raise ForecastError(
+                    f"profile: row {number}: the time is {time:g} s; give a finite time"
+                )
             if time < 0:
                 msg = f"profile: row {number}: {time:g} s lies in the past; give seconds ahead of now"
                 raise ForecastError(msg)
@@ -87,7 +91,12 @@ class SetPoints:
 
     @classmethod
     def planned(
-        cls, rows: Sequence[Row], before: float, *, ramps: bool = False, signal: Output | Drive | None = None
+        cls,
+        rows: Sequence[Row],
+        before: float,
+        *,
+        ramps: bool = False,
+        signal: Output | Drive | None = None,
     ) -> SetPoints:
         """A profile from rows of time (s from now) and set-point: pairs of numbers or texts, or CSV lines.
 
@@ -114,7 +123,9 @@ class SetPoints:
                 )
             pairs.append((values[0], values[1]))
         if not pairs:
-            raise ForecastError("profile: it has no row; give at least one pair of time and set-point")
+            raise ForecastError(
+                "profile: it has no row; give at least one pair of time and set-point"
+            )
         times, levels = zip(*pairs, strict=True)
         return cls(float(before), times, levels, ramps, signal)
 
@@ -129,8 +140,14 @@ class SetPoints:
         """
         values = np.array(reference, dtype=np.float64).ravel().tolist()
         if not values:
-            raise ForecastError("profile: there is no set-point; give at least that of the newest sample")
-        return cls(values[0], tuple(k * period for k in range(1, len(values))), tuple(values[1:]))
+            raise ForecastError(
+                "profile: there is no set-point; give at least that of the newest sample"
+            )
+        return cls(
+            values[0],
+            tuple(k * period for k in range(1, len(values))),
+            tuple(values[1:]),
+        )
 
     def ahead(self, period: float, size: int) -> FloatArray:
         """Set-points of the next samples, shape (size,); the first is one period (s) ahead.
@@ -144,7 +161,9 @@ class SetPoints:
         time = period * np.arange(1, size + 1, dtype=np.float64)
         if self.ramps:
             return np.interp(time, (0.0, *self.times), (self.before, *self.levels))
-        levels_begun = np.searchsorted(self.times, time + _SLACK * np.maximum(time, 1.0), side="right")
+        levels_begun = np.searchsorted(
+            self.times, time + _SLACK * np.maximum(time, 1.0), side="right"
+        )
         return np.array((self.before, *self.levels), dtype=np.float64)[levels_begun]
 
     @property
@@ -153,7 +172,9 @@ class SetPoints:
         if not isinstance(self.signal, Output) or self.signal.set_points is None:
             return ()
         low, high = self.signal.set_points
-        beyond = [level for level in (self.before, *self.levels) if not low <= level <= high]
+        beyond = [
+            level for level in (self.before, *self.levels) if not low <= level <= high
+        ]
         if not beyond:
             return ()
         unit = self.signal.unit

@@ -113,7 +113,9 @@ def largest_input(forecast: Forecast) -> Peak:
 
 def _check(forecast: Forecast, level: float, tolerance: float) -> None:
     if not math.isfinite(level):
-        raise ForecastError(f"forecast of {forecast.candidate}: the level is {level:g}; give a finite one")
+        raise ForecastError(
+            f"forecast of {forecast.candidate}: the level is {level:g}; give a finite one"
+        )
     if not (math.isfinite(tolerance) and tolerance > 0):
         msg = f"forecast of {forecast.candidate}: the tolerance is {tolerance:g}; give a positive one"
         raise ForecastError(msg)
@@ -124,7 +126,9 @@ def _time_of_first(forecast: Forecast, is_there: NDArray[np.bool_]) -> float | N
     return float(forecast.time[int(np.argmax(is_there))]) if is_there.any() else None
 
 
-def _time_from_which_on(forecast: Forecast, is_there: NDArray[np.bool_]) -> float | None:
+def _time_from_which_on(
+    forecast: Forecast, is_there: NDArray[np.bool_]
+) -> float | None:
     """Time of the first sample from which on it is always there; None if it is not at the last one."""
     if not is_there[-1]:
         return None
@@ -196,10 +200,18 @@ def what_if(outlook: Outlook, question: Question) -> WhatIfResult:
     standing = one_of_each("level", outlook.standing)
     size = _size_of(question.horizon, outlook)
     if question.times or question.levels:
-        ahead = SetPoints(standing, question.times, question.levels, question.ramps, signal=outlook.signal)
+        ahead = SetPoints(
+            standing,
+            question.times,
+            question.levels,
+            question.ramps,
+            signal=outlook.signal,
+        )
     else:
         ahead = SetPoints.constant(standing)
-    tolerance = NEAR * output.noise if question.tolerance is None else question.tolerance
+    tolerance = (
+        NEAR * output.noise if question.tolerance is None else question.tolerance
+    )
     forecast = outlook.forecast(ahead.ahead(period, size))
     last_set_point = (ahead.levels or (ahead.before,))[-1]
     usual_level = last_set_point if outlook.closed else float(forecast.output.mean[-1])
@@ -223,7 +235,9 @@ def _size_of(horizon: float | None, outlook: Outlook) -> int:
     if horizon is None:
         return outlook.leads[-1]
     if not (math.isfinite(horizon) and horizon > 0):
-        raise ForecastError(f"forecast: the horizon is {horizon:g} s; give a positive time")
+        raise ForecastError(
+            f"forecast: the horizon is {horizon:g} s; give a positive time"
+        )
     size = max(round(horizon / period), 1)
     if size > MAX_SAMPLES:
         msg = f"forecast: the horizon is {horizon:g} s; give at most {MAX_SAMPLES * period:g} s"
@@ -236,4 +250,6 @@ def _note_on_length(size: int, outlook: Outlook) -> tuple[str, ...]:
     judged = outlook.leads[-1]
     if size <= judged:
         return ()
-    return (f"no forecast further than {judged * outlook.period:g} s ahead was ever compared with readings",)
+    return (
+        f"no forecast further than {judged * outlook.period:g} s ahead was ever compared with readings",
+    )

@@ -14,7 +14,14 @@ neither a clock nor random numbers: the same samples give the same judgement. Em
 from __future__ import annotations
 
 from twinmatch.health.balance import Balance, Movement
-from twinmatch.health.faults import SLOW, Alarm, EstimatedReading, Fault, Health, HealthState
+from twinmatch.health.faults import (
+    SLOW,
+    Alarm,
+    EstimatedReading,
+    Fault,
+    Health,
+    HealthState,
+)
 from twinmatch.health.monitor import Monitor
 from twinmatch.health.refusals import Refusals
 from twinmatch.health.settings import HealthError, HealthSettings

@@ -101,7 +101,9 @@ class _LearnedCorrections:
         gain = reach / ((_CORRECTIONS.noise * self._noise) ** 2 + float(parts @ reach))
         self.values = self.values + gain * error
         self.covariance = self.covariance - np.outer(gain, reach)
-        self.covariance = self.covariance + (self._prior - self.covariance) / _CORRECTIONS.memory
+        self.covariance = (
+            self.covariance + (self._prior - self.covariance) / _CORRECTIONS.memory
+        )
 
 
 class Balance:
@@ -125,7 +127,8 @@ class Balance:
         self._waiting: deque[tuple[FloatArray, float]] = deque()
         self._past: deque[Sample] = deque(maxlen=TRIAL * self._block)
         self._errors: deque[float] = deque(maxlen=TRIAL)
-        self._resting: deque[float] = deque(maxlen=TRIAL)  # errors if the drive had no effect
+        # errors if the drive had no effect
+        self._resting: deque[float] = deque(maxlen=TRIAL)
         self._record = Record()
         self._unsettled = deque[tuple[float, float]]()
         self.roughness = 0.0
@@ -161,11 +164,19 @@ class Balance:
         self._sums[3] += self._warmth * self._pace
         self._moved += moved
         self._count += 1
-        self._warmth += (drive / self._pace - self._warmth) * self._pace / _CORRECTIONS.warmth
-        explained = (1.0 + more_drive) * drive + (1.0 + more_passive) * passive + constant
+        self._warmth += (
+            (drive / self._pace - self._warmth) * self._pace / _CORRECTIONS.warmth
+        )
+        explained = (
+            (1.0 + more_drive) * drive + (1.0 + more_passive) * passive + constant
+        )
         # The drive's part may be corrected, but not to nothing.
         corrected_drive = max(1.0 + more_drive, 0.5) * drive
-        return Movement(corrected_drive, (1.0 + more_passive) * passive + constant, moved - explained)
+        return Movement(
+            corrected_drive,
+            (1.0 + more_passive) * passive + constant,
+            moved - explained,
+        )
 
     def block(self) -> tuple[FloatArray, float] | None:
         """The mean parts of a full block and the error of the uncorrected balance, per second; else None."""
@@ -203,7 +214,9 @@ class Balance:
 
     def compare(self, parts: FloatArray, surplus: float) -> None:
         """Compare a block with what was expected of it; it counts unless a fault is reported soon after."""
-        self._unsettled.append((self._error_of(parts, surplus), surplus + float(parts[0] + parts[1])))
+        self._unsettled.append(
+            (self._error_of(parts, surplus), surplus + float(parts[0] + parts[1]))
+        )
         while len(self._unsettled) > (_CORRECTIONS.counted_after if self.earned else 0):
             self._record = self._record.after(*self._unsettled.popleft(), _KEPT)
 
@@ -237,7 +250,9 @@ class Balance:
             if full is not None:
                 errors.append(full[1])
                 trial.learn(*full, healthy=True)
-        better = errors and np.mean(np.square(errors)) < _OTHERS.better * self.roughness**2
+        better = (
+            errors and np.mean(np.square(errors)) < _OTHERS.better * self.roughness**2
+        )
         return trial if better else self
 
     def _parts(self, sample: Sample) -> tuple[float, float]:

@@ -183,7 +183,9 @@ class DetectedChange:
         return self.gain - gains.get(fault, -math.inf)
 
 
-def hypotheses(tracker: Tracker, noise: float, period: float, *, steps: bool) -> Sequence[Hypothesis]:
+def hypotheses(
+    tracker: Tracker, noise: float, period: float, *, steps: bool
+) -> Sequence[Hypothesis]:
     """The hypotheses for one plant: for parameters with a role in its file, and those of every plant.
 
     `steps`: whether only a sensor that has shifted makes a step of the reading. A camera that corrects itself
@@ -192,7 +194,10 @@ def hypotheses(tracker: Tracker, noise: float, period: float, *, steps: bool) ->
     scale = slow_scale(tracker.parameters.model.plant, period)
     roles = _changes_of_roles(tracker)
     rooms = [h for h in roles if h.fault is Fault.ROOM_CHANGED]
-    slow_rooms = [replace(h, slowly=_SLOW_COURSE.room_time, price=_SLOW_COURSE.price) for h in rooms]
+    slow_rooms = [
+        replace(h, slowly=_SLOW_COURSE.room_time, price=_SLOW_COURSE.price)
+        for h in rooms
+    ]
     passing = _passing(tracker, noise / (scale if scale > 1.0 else time_scale(period)))
     changes = [*roles, *slow_rooms]
     if steps:
@@ -200,13 +205,17 @@ def hypotheses(tracker: Tracker, noise: float, period: float, *, steps: bool) ->
     changes += _changes_of_every_plant(tracker, noise, period)
     if steps:
         changes += [
-            replace(h, at_once=True) for h in changes if h.fault is Fault.SENSOR_DRIFT and not h.slowly
+            replace(h, at_once=True)
+            for h in changes
+            if h.fault is Fault.SENSOR_DRIFT and not h.slowly
         ]
     changes += passing
     if steps:
         for room in rooms:
             changes += _heat_like(room, passing[0].least)
-    return [replace(h, lasting=h.lasting * scale, slowly=h.slowly * scale) for h in changes]
+    return [
+        replace(h, lasting=h.lasting * scale, slowly=h.slowly * scale) for h in changes
+    ]
 
 
 def _changes_of_roles(tracker: Tracker) -> list[Hypothesis]:
@@ -218,12 +227,28 @@ def _changes_of_roles(tracker: Tracker) -> list[Hypothesis]:
         if declared.role == TRAITS[Fault.LOSSES_CHANGED].role and logged:
             least = _MIN_SIZE[Fault.LOSSES_CHANGED]
             for shift, spread in _LOSSES:
-                changes.append(Hypothesis(Fault.LOSSES_CHANGED, tracker.at[name], shift, spread, least, name))
+                changes.append(
+                    Hypothesis(
+                        Fault.LOSSES_CHANGED,
+                        tracker.at[name],
+                        shift,
+                        spread,
+                        least,
+                        name,
+                    )
+                )
         if declared.role == TRAITS[Fault.ROOM_CHANGED].role:
             scale = 0.05 if logged else declared.scale
             least = _MIN_SIZE[Fault.ROOM_CHANGED] * scale
             changes.append(
-                Hypothesis(Fault.ROOM_CHANGED, tracker.at[name], 0.0, _SPREADS.room * scale, least, name)
+                Hypothesis(
+                    Fault.ROOM_CHANGED,
+                    tracker.at[name],
+                    0.0,
+                    _SPREADS.room * scale,
+                    least,
+                    name,
+                )
             )
     return changes
 
@@ -232,11 +257,18 @@ def _lost_drive(tracker: Tracker) -> Hypothesis:
     """The drive has no effect any longer, from one of some moments on."""
     price = math.log(_SEARCH.onsets)
     return Hypothesis(
-        Fault.DRIVE_LOST, tracker.share, -1.0, _SPREADS.lost, _MIN_SIZE[Fault.DRIVE_LOST], price=price
+        Fault.DRIVE_LOST,
+        tracker.share,
+        -1.0,
+        _SPREADS.lost,
+        _MIN_SIZE[Fault.DRIVE_LOST],
+        price=price,
     )
 
 
-def _changes_of_every_plant(tracker: Tracker, noise: float, period: float) -> Iterator[Hypothesis]:
+def _changes_of_every_plant(
+    tracker: Tracker, noise: float, period: float
+) -> Iterator[Hypothesis]:
     """Changes of the drive's share and of the reading, at once or slowly, and an unnamed push."""
     for fault, index, unit, spread in (
         (Fault.DRIVE_WEAK, tracker.share, 1.0, _SPREADS.share),
@@ -253,7 +285,9 @@ def _passing(tracker: Tracker, unit: float) -> list[Hypothesis]:
     """Pushes that pass, in units of the noise per sample."""
     least = _MIN_SIZE[Fault.DISTURBANCE] * unit
     return [
-        Hypothesis(Fault.DISTURBANCE, tracker.fading, 0.0, spread * unit, least, lasting=time)
+        Hypothesis(
+            Fault.DISTURBANCE, tracker.fading, 0.0, spread * unit, least, lasting=time
+        )
         for spread, time in _PASSING
     ]
 
@@ -268,7 +302,9 @@ def _heat_like(room: Hypothesis, least: float) -> Iterator[Hypothesis]:
     yield replace(heat, fault=Fault.DISTURBANCE, least=least, ceases=True)
 
 
-_LESS_ACCURATE: Final = frozenset({Fault.LOSSES_CHANGED, Fault.ROOM_CHANGED, Fault.DRIFT, Fault.DISTURBANCE})
+_LESS_ACCURATE: Final = frozenset(
+    {Fault.LOSSES_CHANGED, Fault.ROOM_CHANGED, Fault.DRIFT, Fault.DISTURBANCE}
+)
 """Changes after which the equations may be less accurate than before, as they may without a change: the air
 in an open box is no longer one lump. A sensor offset or a weak drive leaves their accuracy as it was."""
 
@@ -333,7 +369,9 @@ def _cost_of(explanation: tuple[Belief, float]) -> float:
 class ChangeDetector:
     """Tracks one plant and detects what has changed."""
 
-    def __init__(self, parameters: Parameters, period: float, *, steps: bool = False) -> None:
+    def __init__(
+        self, parameters: Parameters, period: float, *, steps: bool = False
+    ) -> None:
         """Begin with these parameters in the tracked structure; `period` is the sample time, s; `steps` as in
         `hypotheses`.
         """
@@ -347,7 +385,11 @@ class ChangeDetector:
         self.hypotheses = hypotheses(self.tracker, noise, period, steps=steps)
         self._steps = steps
         self._expected_back: Hypothesis | None = None
-        lasting = [h for h in self.hypotheses if h.fault is not Fault.DISTURBANCE and not h.vague]
+        lasting = [
+            h
+            for h in self.hypotheses
+            if h.fault is not Fault.DISTURBANCE and not h.vague
+        ]
         self._jumps = list({h.index: h for h in lasting}.values())
         self._offset = next(h for h in self.hypotheses if h.fault is Fault.SENSOR_DRIFT)
         self._best: tuple[DetectedChange, _BestOfKind] | None = None
@@ -383,7 +425,9 @@ class ChangeDetector:
         belief = self.tracked.belief
         if belief is None:
             return 0.0
-        return float(belief.values[self.tracker.fading] + belief.values[self.tracker.push])
+        return float(
+            belief.values[self.tracker.fading] + belief.values[self.tracker.push]
+        )
 
     @property
     def offset(self) -> float:
@@ -432,11 +476,13 @@ class ChangeDetector:
             self._changed_at = tracked.count
         if tracked.count - self._changed_at >= HORIZONS[-1]:
             newcomer = tracked.known < _SEARCH.learn
-            self.track_record.push(tracked.blocks, tracked.count, tracked.level, newcomer=newcomer)
+            self.track_record.push(
+                tracked.blocks, tracked.count, tracked.level, newcomer=newcomer
+            )
 
     def pushes(self) -> FloatArray:
         """What has passed: how far it pushed the output in every block since its onset, in its unit."""
-        assert self._best is not None  # noqa: S101 — only a returned change is asked about
+        assert self._best is not None  # noqa: S101
         _, h, age, level, _ = self._best[1]
         if h.ceases:
             return self._beyond(age, level)
@@ -444,7 +490,9 @@ class ChangeDetector:
         size = self.tracked.size
         stretch = joined(blocks)
         course = self._course(h, blocks[0].before[level], level, stretch)
-        beliefs = (course(stretch.part(0, size * count))[0] for count in range(1, age + 1))
+        beliefs = (
+            course(stretch.part(0, size * count))[0] for count in range(1, age + 1)
+        )
         return np.array([belief.values[h.index] for belief in beliefs]) * self.block
 
     def _beyond(self, age: int, level: int) -> FloatArray:
@@ -463,12 +511,12 @@ class ChangeDetector:
     @property
     def before(self) -> Sequence[Belief]:
         """What was believed before the change returned last, at every level."""
-        assert self._best is not None  # noqa: S101 — only a returned change is asked about
+        assert self._best is not None  # noqa: S101
         return self.tracked.blocks[-self._best[1].age].before
 
     def adopt(self, before: Sequence[Belief] = ()) -> None:
         """Accept the change returned last as the new state of the plant; `before`: it is what it was then."""
-        assert self._best is not None  # noqa: S101 — only a returned change is adopted
+        assert self._best is not None  # noqa: S101
         self.tracked.adopt(self._best[1].belief, before)
         self._reset()
 
@@ -485,7 +533,9 @@ class ChangeDetector:
         kinds = len(self._jumps)
         starts = REACH // _SEARCH.every
         self._traces = Traces(
-            np.zeros((n, kinds, starts)), np.zeros((kinds, starts)), np.zeros((kinds, starts))
+            np.zeros((n, kinds, starts)),
+            np.zeros((kinds, starts)),
+            np.zeros((kinds, starts)),
         )
         self._started = np.full(starts, -1)  # block count of each start
 
@@ -503,7 +553,9 @@ class ChangeDetector:
         count = self.tracked.count
         longest = len(self.tracked.blocks)
         age = count - self._started
-        is_possible = (self._started >= 0) & (age >= _SEARCH.youngest) & (age <= longest)
+        is_possible = (
+            (self._started >= 0) & (age >= _SEARCH.youngest) & (age <= longest)
+        )
         worth = np.where(is_possible, self._worth_of_jumps(), 0.0)
         stepped = self._stepped
         no_jump = worth.max() < _SEARCH.worth * self.track_record.dispersion
@@ -511,14 +563,22 @@ class ChangeDetector:
             self._comparisons = 0
             return None
         self._blocks_waited += 1
-        if self._blocks_waited < min(1 + self._comparisons // _SEARCH.patience, _SEARCH.rarest):
+        if self._blocks_waited < min(
+            1 + self._comparisons // _SEARCH.patience, _SEARCH.rarest
+        ):
             return None
         self._blocks_waited = 0
         self._comparisons = self._comparisons + 1
         likeliest = stepped or int(age[np.argmax(worth.max(axis=0))])
         ages = {likeliest - _SEARCH.every, likeliest, likeliest + _SEARCH.every}
         if self._best is not None:
-            ages.add(round((self.tracked.blocks[-1].first - self._best[0].first) / self.tracked.size) + 1)
+            ages.add(
+                round(
+                    (self.tracked.blocks[-1].first - self._best[0].first)
+                    / self.tracked.size
+                )
+                + 1
+            )
         ages_to_compare = sorted(a for a in ages if _SEARCH.youngest <= a <= longest)
         return self._compare(ages_to_compare) if ages_to_compare else None
 
@@ -527,7 +587,9 @@ class ChangeDetector:
         spreads = np.array([[max(h.spread, abs(h.shift))] for h in self._jumps]) ** 2
         hits = self._traces.hits
         weights = self._traces.weights
-        worth = 0.5 * hits**2 / (weights + 1.0 / spreads) - 0.5 * np.log1p(weights * spreads)
+        worth = 0.5 * hits**2 / (weights + 1.0 / spreads) - 0.5 * np.log1p(
+            weights * spreads
+        )
         return np.asarray(worth, dtype=np.float64)
 
     @property
@@ -538,7 +600,10 @@ class ChangeDetector:
         """
         blocks = list(self.tracked.blocks) if self._steps or self._expected_back else []
         for age in range(_SEARCH.youngest, min(_SEARCH.step_age, len(blocks)) + 1):
-            if np.abs(np.diff(blocks[-age].stretch.output[1:])).max() >= self._offset.least:
+            if (
+                np.abs(np.diff(blocks[-age].stretch.output[1:])).max()
+                >= self._offset.least
+            ):
                 return age
         return 0
 
@@ -547,7 +612,11 @@ class ChangeDetector:
         total, before = self.tracked.unchanged()
         unchanged = _Unchanged(total, before, self.track_record.dispersion)
         blocks = list(self.tracked.blocks)
-        self._courses = {key: course for key, course in self._courses.items() if key[1] >= blocks[0].first}
+        self._courses = {
+            key: course
+            for key, course in self._courses.items()
+            if key[1] >= blocks[0].first
+        }
         stretches = {age: joined(blocks[-age:]) for age in ages}
         best_of = self._best_of_each_kind(stretches, unchanged)
         best, *rivals = self._in_order(best_of)
@@ -555,7 +624,8 @@ class ChangeDetector:
             self._best = None
             return None
         gain = best.gain - self._cost_of_saying(len(best_of))
-        if gain > 0.0 and not self._steps:  # behind a lag, the inputs come with the delay that suits them
+        if gain > 0.0 and not self._steps:
+            # behind a lag, the inputs come with the delay that suits them
             cost, late = self._lateness(best.age, stretches[best.age])
             gain -= _LATE_INPUTS.coarse * max(0.0, unchanged.saved(cost, best.age))
             if gain < 0.0 and best.age >= _LATE_INPUTS.absorbed_after:
@@ -592,9 +662,14 @@ class ChangeDetector:
     ) -> dict[Fault, _BestOfKind]:
         """The hypothesis of each kind that saves most, at one of these ages and a level."""
         best_of: dict[Fault, _BestOfKind] = {}
-        likely = [*self.hypotheses, *([self._expected_back] if self._expected_back else [])]
+        likely = [
+            *self.hypotheses,
+            *([self._expected_back] if self._expected_back else []),
+        ]
         for age, h, level in itertools.product(stretches, likely, self.tracked.levels):
-            if level > self.tracked.level and (h.ceases or h.fault not in _LESS_ACCURATE):
+            if level > self.tracked.level and (
+                h.ceases or h.fault not in _LESS_ACCURATE
+            ):
                 continue
             belief, cost = self._run(h, age, level, stretches[age])
             gain = unchanged.saved(cost, age)
@@ -606,10 +681,16 @@ class ChangeDetector:
         """The kinds that count, the best first: where something has passed, no number that has come back."""
         order = sorted(best_of.values(), key=lambda f: -f.gain)
         if self._passed(best_of[Fault.DISTURBANCE]):
-            return [f for f in order if f.hypothesis.fault is Fault.DISTURBANCE or not self._came_back(f)]
+            return [
+                f
+                for f in order
+                if f.hypothesis.fault is Fault.DISTURBANCE or not self._came_back(f)
+            ]
         return [f for f in order if f.hypothesis.fault is not Fault.DISTURBANCE]
 
-    def _from_the_start(self, best: _BestOfKind, unchanged: _Unchanged) -> Belief | None:
+    def _from_the_start(
+        self, best: _BestOfKind, unchanged: _Unchanged
+    ) -> Belief | None:
         """The belief if the change was there from the start; None if it has an onset.
 
         A change that explains as much from long before was there from the start.
@@ -617,8 +698,14 @@ class ChangeDetector:
         oldest = len(self.tracked.blocks)
         if oldest - best.age < 2 * _SEARCH.every:
             return None
-        belief, cost = self._run(best.hypothesis, oldest, best.level, joined(list(self.tracked.blocks)))
-        return belief if unchanged.saved(cost, oldest) > best.gain - _SEARCH.worth else None
+        belief, cost = self._run(
+            best.hypothesis, oldest, best.level, joined(list(self.tracked.blocks))
+        )
+        return (
+            belief
+            if unchanged.saved(cost, oldest) > best.gain - _SEARCH.worth
+            else None
+        )
 
     def _lateness(self, age: int, stretch: Readings) -> tuple[float, Belief]:
         """Code length of the last blocks' readings if nothing has changed, but inputs act later than the
@@ -627,7 +714,9 @@ class ChangeDetector:
         inputs = np.concatenate([b.stretch.input for b in blocks])
         rivals = list(later_inputs(inputs, stretch.input.size, self._second))
         runs = (
-            self.tracker.run(blocks[-age].before[level], stretch._replace(input=late), level)
+            self.tracker.run(
+                blocks[-age].before[level], stretch._replace(input=late), level
+            )
             for late, level in itertools.product(rivals, self.tracked.levels)
         )
         belief, cost = min(runs, key=lambda run: run[1])
@@ -645,9 +734,13 @@ class ChangeDetector:
     def _shift(self, candidate: _BestOfKind) -> float:
         """By how much a number has changed."""
         before = self.tracked.blocks[-candidate.age].before[self.tracked.level]
-        return float((candidate.belief.values - before.values)[candidate.hypothesis.index])
+        return float(
+            (candidate.belief.values - before.values)[candidate.hypothesis.index]
+        )
 
-    def _run(self, h: Hypothesis, age: int, level: int, stretch: Readings) -> tuple[Belief, float]:
+    def _run(
+        self, h: Hypothesis, age: int, level: int, stretch: Readings
+    ) -> tuple[Belief, float]:
         """The belief after the last blocks under a hypothesis at a level, and their readings' code length."""
         onset = self.tracked.blocks[-age]
         key = h, onset.first, level
@@ -655,7 +748,9 @@ class ChangeDetector:
             self._courses[key] = self._course(h, onset.before[level], level, stretch)
         return self._courses[key](stretch)
 
-    def _course(self, h: Hypothesis, before: Belief, level: int, stretch: Readings) -> _Course:
+    def _course(
+        self, h: Hypothesis, before: Belief, level: int, stretch: Readings
+    ) -> _Course:
         """How the plant runs under a hypothesis since an onset: through these readings at first, later
         through more."""
         tracker = self.tracker
@@ -665,14 +760,22 @@ class ChangeDetector:
             largest_step = int(np.nanargmax(np.abs(np.diff(first_readings[1:]))))
             return self._jumped(h, before, stretch, largest_step, level)
         if h.fault is Fault.DRIVE_LOST:
-            places = np.linspace(0, _SEARCH.every * size, _SEARCH.onsets, endpoint=False).astype(int)
-            jumps = [self._jumped(h, before, stretch, int(place), level) for place in places]
-            return lambda readings: min((jump(readings) for jump in jumps), key=_cost_of)
+            places = np.linspace(
+                0, _SEARCH.every * size, _SEARCH.onsets, endpoint=False
+            ).astype(int)
+            jumps = [
+                self._jumped(h, before, stretch, int(place), level) for place in places
+            ]
+            return lambda readings: min(
+                (jump(readings) for jump in jumps), key=_cost_of
+            )
         if h.ceases:
             return self._ceased(h, before, level)
         if h.slowly:
             opened = before.opened(tracker.rate, 0.0, h.spread / h.slowly)
-            return self._rising(h, TrackedCourse(tracker, opened, level, rising=h.index))
+            return self._rising(
+                h, TrackedCourse(tracker, opened, level, rising=h.index)
+            )
         drift = np.zeros(tracker.size)
         half = math.sqrt(0.5) * h.spread
         drift[h.index] = half / math.sqrt(h.lasting)
@@ -696,30 +799,41 @@ class ChangeDetector:
         spread = math.sqrt(before.covariance[number, number])
         belief = before.opened(number, h.shift, h.spread)
         begun = 0.0
-        since: list[tuple[float, TrackedCourse]] = []  # and the code length of the readings until then
+        # and the code length of the readings until then
+        since: list[tuple[float, TrackedCourse]] = []
 
         def to(readings: Readings) -> tuple[Belief, float]:
             nonlocal belief, begun
             for end in range(step * (1 + len(since)), len(readings.input), step):
-                belief, cost = self.tracker.run(belief, readings.part(end - step, end), level)
+                belief, cost = self.tracker.run(
+                    belief, readings.part(end - step, end), level
+                )
                 begun += cost
-                after = belief.closed(number).opened(number, before.values[number], spread)
+                after = belief.closed(number).opened(
+                    number, before.values[number], spread
+                )
                 since.append((begun, TrackedCourse(self.tracker, after, level)))
             explanations = []
-            for end, (until, course) in zip(itertools.count(step, step), since, strict=False):
+            for end, (until, course) in zip(
+                itertools.count(step, step), since, strict=False
+            ):
                 after, cost_since = course.to(readings.part(end, len(readings.input)))
                 explanations.append((after, until + cost_since + h.price))
             return min(explanations, key=_cost_of, default=(before, math.inf))
 
         return to
 
-    def _jumped(self, h: Hypothesis, before: Belief, stretch: Readings, place: int, level: int) -> _Course:
+    def _jumped(
+        self, h: Hypothesis, before: Belief, stretch: Readings, place: int, level: int
+    ) -> _Course:
         """The course if a number jumps before the reading at this place."""
         belief = before
         begun = 0.0
         if place > 0:
             belief, begun = self.tracker.run(belief, stretch.part(0, place), level)
-        course = TrackedCourse(self.tracker, belief.opened(h.index, h.shift, h.spread), level)
+        course = TrackedCourse(
+            self.tracker, belief.opened(h.index, h.shift, h.spread), level
+        )
 
         def to(readings: Readings) -> tuple[Belief, float]:
             after, cost_since = course.to(readings.part(place, len(readings.input)))

@@ -62,7 +62,9 @@ class _Naming:
 _NAMING: Final = _Naming()
 
 
-_LEARNED_FIRST: Final = frozenset(f for f, traits in TRAITS.items() if traits.another_plant) | {Fault.DRIFT}
+_LEARNED_FIRST: Final = frozenset(
+    f for f, traits in TRAITS.items() if traits.another_plant
+) | {Fault.DRIFT}
 """Faults that may be parameters that are not known yet."""
 
 
@@ -120,7 +122,8 @@ class ChannelMonitor:
         """Begin with typical parameters and the sample time, s."""
         self.competition = Competition(parameters, period)
         self._alarms: deque[ChannelAlarm] = deque(maxlen=_KEPT)
-        self.reservation = self.doubt = ""  # as of a `Monitor`: here names say what is known
+        # as of a `Monitor`: here names say what is known
+        self.reservation = self.doubt = ""
         self.estimates: tuple[EstimatedReading, ...] = ()
         """What sensors should read now that are not believed."""
         self.suspects: list[Suspect] = []
@@ -145,9 +148,13 @@ class ChannelMonitor:
     @property
     def on(self) -> ChannelAlarm | None:
         """The alarm that is on."""
-        return self._alarms[-1] if self._alarms and self._alarms[-1].last is None else None
+        return (
+            self._alarms[-1] if self._alarms and self._alarms[-1].last is None else None
+        )
 
-    def fault_between(self, first: int, last: int, *, slow: bool = False) -> Alarm | None:
+    def fault_between(
+        self, first: int, last: int, *, slow: bool = False
+    ) -> Alarm | None:
         """The first alarm that touches these samples; see `touching`."""
         return touching(self._alarms, first, last, slow=slow)
 
@@ -166,9 +173,19 @@ class ChannelMonitor:
         news = newest if newest is not before else None
         nan = math.nan
         if on is None:
-            return Health(sample.index, HealthState.HEALTHY, None, None, "", nan, nan, news)
+            return Health(
+                sample.index, HealthState.HEALTHY, None, None, "", nan, nan, news
+            )
         return Health(
-            sample.index, HealthState.FAULT, on.fault, on.first, on.reason, nan, nan, news, on.signal
+            sample.index,
+            HealthState.FAULT,
+            on.fault,
+            on.first,
+            on.reason,
+            nan,
+            nan,
+            news,
+            on.signal,
         )
 
     @property
@@ -182,7 +199,9 @@ class ChannelMonitor:
             reason = f"{self._alarms[-1].reason}; no sensor is right, so none can be read through"
             self._alarms[-1] = replace(self._alarms[-1], reason=reason)
 
-    def _estimate(self, output: int, estimator: ReadThrough, sample: Sample) -> EstimatedReading:
+    def _estimate(
+        self, output: int, estimator: ReadThrough, sample: Sample
+    ) -> EstimatedReading:
         name, declared = self._outputs[output]
         wide = _WIDE * declared.noise
         if estimator.good is None:
@@ -191,7 +210,9 @@ class ChannelMonitor:
         value, band = estimator.estimate
         reading = (sample.refused or sample.outputs)[output]
         since = sample.index - (estimator.samples - estimator.rehearsed) + 1
-        return EstimatedReading(sample.index, name, value, band, reading, since, wide, estimator.good)
+        return EstimatedReading(
+            sample.index, name, value, band, reading, since, wide, estimator.good
+        )
 
     def _push(self, sample: Sample) -> None:
         if sample.index != self._index + 1:
@@ -200,16 +221,29 @@ class ChannelMonitor:
             self.competition.through.clear()  # nobody knows where the plant went
         self._index = sample.index
         read = np.array(sample.refused or sample.outputs)
-        possible = np.isfinite(read) & (read >= self._spans[:, 0]) & (read <= self._spans[:, 1])
+        possible = (
+            np.isfinite(read)
+            & (read >= self._spans[:, 0])
+            & (read <= self._spans[:, 1])
+        )
         counts = possible & sample.seen & (not sample.refused)
         self._values = np.where(possible, read, self._values)
         self.competition.push(sample, self._values, counts)
         self._impossible = np.where(possible, 0, self._impossible + 1)
         for output in np.flatnonzero(self._impossible == _NAMING.confirm).tolist():
             row = ChangeRow((Fault.SENSOR_IMPLAUSIBLE, output), "")
-            best = Suspect(row.cause, math.inf, row, 0.0, 0.0, self.competition.count - _NAMING.confirm, -1)
+            best = Suspect(
+                row.cause,
+                math.inf,
+                row,
+                0.0,
+                0.0,
+                self.competition.count - _NAMING.confirm,
+                -1,
+            )
             self._raise(Fault.SENSOR_IMPLAUSIBLE, best, [best])
-            self._read_through(output, 0)  # no filter has taken such readings: the newest is best
+            # no filter has taken such readings: the newest is best
+            self._read_through(output, 0)
         self._judge_jumps(self.competition.jumped(_NAMING.confirm - 1))
         suspects = map(self._lost_or_weak, self.competition.suspects())
         self.suspects = [suspect for suspect in suspects if self._counts(suspect)]
@@ -224,19 +258,30 @@ class ChannelMonitor:
         What several sensors show at once is nothing that the plant does, and nothing that one sensor does:
         there is none by which another could be read through.
         """
-        if not outputs or self.competition.known < _NAMING.start * self.competition.second:
+        if (
+            not outputs
+            or self.competition.known < _NAMING.start * self.competition.second
+        ):
             return
-        jumps = {output: self.competition.sensors[output].jump.size for output in outputs}
+        jumps = {
+            output: self.competition.sensors[output].jump.size for output in outputs
+        }
         rows = {output: self._row_of_jump(output) for output in outputs}
         self.competition.adopt_jumps(outputs)
         returned = [named for named in self._jumped if self._is_back(named, jumps)]
         for named in returned:
             self._standing.remove(named)
         if returned:
-            if self.on is not None and self.on.fault is Fault.DRIFT and not self._jumped:
+            if (
+                self.on is not None
+                and self.on.fault is Fault.DRIFT
+                and not self._jumped
+            ):
                 self._close()
             return
-        self._standing += [_NamedChange(Fault.DRIFT, rows[output], jumps[output]) for output in outputs]
+        self._standing += [
+            _NamedChange(Fault.DRIFT, rows[output], jumps[output]) for output in outputs
+        ]
         self._raise_jumps(outputs)
         self._expect_back()
 
@@ -247,7 +292,11 @@ class ChannelMonitor:
 
     def _row_of_jump(self, output: int) -> ChangeRow:
         cause = (Fault.SENSOR_DRIFT, output)
-        return next(row for row in self.competition.rows if row.cause == cause and not row.slowly)
+        return next(
+            row
+            for row in self.competition.rows
+            if row.cause == cause and not row.slowly
+        )
 
     @staticmethod
     def _is_back(named: _NamedChange, jumps: dict[int, float]) -> bool:
@@ -260,15 +309,30 @@ class ChannelMonitor:
         signal, reason = self.sentences.jumped(outputs)
         first = self._index - _NAMING.confirm + 1
         alarm = ChannelAlarm(
-            Fault.DRIFT, first, self._index, None, reason, True, signal, size=math.nan, rivals=(), suspects=()
+            Fault.DRIFT,
+            first,
+            self._index,
+            None,
+            reason,
+            True,
+            signal,
+            size=math.nan,
+            rivals=(),
+            suspects=(),
         )
         self._alarms.append(alarm)
 
     def _lies(self, output: int) -> bool:
         """Whether the sensor of an output is known to be off, or frozen or without sense now."""
         on = self.on
-        by_alarm = on is not None and on.fault in _BY_ITSELF and on.suspects[0].cause[1] == output
-        return by_alarm or any(named.row.cause == (Fault.SENSOR_DRIFT, output) for named in self._standing)
+        by_alarm = (
+            on is not None
+            and on.fault in _BY_ITSELF
+            and on.suspects[0].cause[1] == output
+        )
+        return by_alarm or any(
+            named.row.cause == (Fault.SENSOR_DRIFT, output) for named in self._standing
+        )
 
     def _lost_or_weak(self, suspect: Suspect) -> Suspect:
         """The suspect; a drive is lost if nearly nothing is left of its effect, and weak if more is,
@@ -276,21 +340,30 @@ class ChannelMonitor:
         fault, drive = suspect.cause
         if fault not in {Fault.DRIVE_WEAK, Fault.DRIVE_LOST}:
             return suspect
-        is_lost = suspect.shift + self.competition.believed(suspect.row.number) <= _LOST_FROM
-        return replace(suspect, cause=(Fault.DRIVE_LOST if is_lost else Fault.DRIVE_WEAK, drive))
+        is_lost = (
+            suspect.shift + self.competition.believed(suspect.row.number) <= _LOST_FROM
+        )
+        return replace(
+            suspect, cause=(Fault.DRIVE_LOST if is_lost else Fault.DRIVE_WEAK, drive)
+        )
 
     def shows(self, suspect: Suspect) -> bool:
         """Whether it can be seen yet: a sensor that repeats its reading is frozen once the plant should have
         moved."""
         fault, output = suspect.cause
-        return fault is not Fault.SENSOR_FROZEN or self.competition.frozen(output, self._values[output])
+        return fault is not Fault.SENSOR_FROZEN or self.competition.frozen(
+            output, self._values[output]
+        )
 
     def _counts(self, suspect: Suspect) -> bool:
         """Whether a suspect competes: a push does once it has passed, as it explains anything while it
         lasts."""
         if suspect.cause[0] is not Fault.DISTURBANCE:
             return True
-        return self._is_material(suspect) and self.competition.remains(suspect) < _ENDING.faded
+        return (
+            self._is_material(suspect)
+            and self.competition.remains(suspect) < _ENDING.faded
+        )
 
     def _judge(self, suspects: list[Suspect]) -> None:
         """End the alarm that is over; raise one for a cause that has led for long enough, or for none that
@@ -309,16 +382,26 @@ class ChannelMonitor:
             return
         named = [suspect for suspect in suspects if suspect.cause[0] is not Fault.DRIFT]
         if named and named[0].evidence > suspects[0].evidence - LEAD:
-            suspects = named  # the unknown, which may act as anything does, counts only far ahead
+            # the unknown, which may act as anything does, counts only far ahead
+            suspects = named
         best = suspects[0]
-        rivals = [suspect.evidence for suspect in suspects[1:] if self._exclude_each_other(suspect, best)]
+        rivals = [
+            suspect.evidence
+            for suspect in suspects[1:]
+            if self._exclude_each_other(suspect, best)
+        ]
         if not competition.may_accuse(best):
             return
         leads = best.evidence - max([0.0, *rivals]) >= LEAD
-        self._leads = best.cause, self._leads[1] + 1 if self._leads[0] == best.cause else 1
+        self._leads = (
+            best.cause,
+            self._leads[1] + 1 if self._leads[0] == best.cause else 1,
+        )
         if self._leads[1] < _NAMING.holds:
             return
-        if leads and (best.cause[0] is Fault.SENSOR_FROZEN or self._is_to_be_named(best)):
+        if leads and (
+            best.cause[0] is Fault.SENSOR_FROZEN or self._is_to_be_named(best)
+        ):
             self._name(best, suspects)
         elif not leads:
             self._wait_for_a_name(best, suspects)
@@ -353,7 +436,9 @@ class ChannelMonitor:
         """
         if best.cause[0] is Fault.DRIVE_WEAK and self._is_open(best):
             return False
-        undone = next((named for named in self._standing if self._undoes(best, named)), None)
+        undone = next(
+            (named for named in self._standing if self._undoes(best, named)), None
+        )
         if undone is not None:
             self._standing.remove(undone)
             if self.on is not None and self.on.fault is undone.fault:
@@ -407,8 +492,13 @@ class ChannelMonitor:
         Two faults of one number need not be told apart, as a lost drive is weak, too; but a weak drive is not
         named while it may be a lost one.
         """
-        may_be_lost = best.cause[0] is Fault.DRIVE_WEAK and suspect.cause[0] is Fault.DRIVE_LOST
-        is_same = (suspect.row.number, suspect.row.also) == (best.row.number, best.row.also)
+        may_be_lost = (
+            best.cause[0] is Fault.DRIVE_WEAK and suspect.cause[0] is Fault.DRIVE_LOST
+        )
+        is_same = (suspect.row.number, suspect.row.also) == (
+            best.row.number,
+            best.row.also,
+        )
         return may_be_lost or not is_same
 
     @staticmethod
@@ -466,9 +556,17 @@ class ChannelMonitor:
         if self.on is not None:
             self._close()
         first = min(self._begin + best.born, self._index)
-        near = [suspect for suspect in suspects if suspect.evidence > max(0.0, best.evidence - LEAD)]
-        rivals = tuple(dict.fromkeys(self.sentences.called(suspect.cause) for suspect in near))
-        signal, size, reason = self.sentences.said(fault, best, self._share_left(best), rivals)
+        near = [
+            suspect
+            for suspect in suspects
+            if suspect.evidence > max(0.0, best.evidence - LEAD)
+        ]
+        rivals = tuple(
+            dict.fromkeys(self.sentences.called(suspect.cause) for suspect in near)
+        )
+        signal, size, reason = self.sentences.said(
+            fault, best, self._share_left(best), rivals
+        )
         self._alarms.append(
             ChannelAlarm(
                 fault,
@@ -488,7 +586,11 @@ class ChannelMonitor:
         """What is left of a drive's effect, as a share; 1 for anything else."""
         number = suspect.row.number
         is_of_drive = number.startswith("share ")
-        return max(1.0 + suspect.shift + self.competition.believed(number), 0.0) if is_of_drive else 1.0
+        return (
+            max(1.0 + suspect.shift + self.competition.believed(number), 0.0)
+            if is_of_drive
+            else 1.0
+        )
 
     def _close(self) -> None:
         self._alarms[-1] = replace(self._alarms[-1], last=self._index)

@@ -55,4 +55,7 @@ class Record(NamedTuple):
 
     def _were_within(self, share: float, noise: float) -> bool:
         """Whether they were off by at most a share of considerable movements."""
-        return self.moved >= (_EARNING.moved * noise) ** 2 and self.error <= share**2 * self.moved
+        return (
+            self.moved >= (_EARNING.moved * noise) ** 2
+            and self.error <= share**2 * self.moved
+        )

@@ -77,7 +77,9 @@ class Competition:
         self.healthy = HealthyMixture(parameters, period)
         self.second = self.healthy.second
         outputs = self._model.plant.outputs.values()
-        self.sensors = [LearnedSensor(output.noise, output.span, self.second) for output in outputs]
+        self.sensors = [
+            LearnedSensor(output.noise, output.span, self.second) for output in outputs
+        ]
         self._usual = rows_of(self._model)
         self._suspected = False
         self._rehearsals = [Rehearsal(self.second, output.noise) for output in outputs]
@@ -110,7 +112,9 @@ class Competition:
         """Make the table of changes, with what may be undone, and room for their traces."""
         self.rows = [*self._usual, *back]
         healthy = self.healthy
-        self._traces = unborn(healthy.levels * len(self.rows) * _FOLLOWING.slots, len(healthy.numbers))
+        self._traces = unborn(
+            healthy.levels * len(self.rows) * _FOLLOWING.slots, len(healthy.numbers)
+        )
         self._causes = list(dict.fromkeys(row.cause for row in self.rows))
         self.table = self._table_of(self.rows)
         self._totals = np.full(len(self._causes), -np.inf)
@@ -128,7 +132,9 @@ class Competition:
             also[place, : len(row.also)] = [healthy.numbers[name] for name in row.also]
         causes = [self._causes.index(row.cause) for row in rows]
         rates = [period / (row.slowly * scale) if row.slowly else 0.0 for row in rows]
-        lasting = np.array([round(row.lasting * self.second) for row in rows], dtype=np.int64)
+        lasting = np.array(
+            [round(row.lasting * self.second) for row in rows], dtype=np.int64
+        )
         comes_at_once = lasting <= 0
         wanders = np.array([row.wanders for row in rows])
         spread = np.array([row.spread for row in rows])
@@ -138,12 +144,16 @@ class Competition:
             cause=np.array(causes, dtype=np.int64),
             rate=np.array(rates),
             wanders=wanders**2 * 2.0 * period / (30.0 * scale),
-            diffusion=np.where(comes_at_once, 0.0, 0.5 * spread**2 / np.maximum(lasting, 1)),
+            diffusion=np.where(
+                comes_at_once, 0.0, 0.5 * spread**2 / np.maximum(lasting, 1)
+            ),
             lasting=lasting,
             shift=np.array([row.shift for row in rows]),
             spread=np.where(comes_at_once, 1.0, math.sqrt(0.5)) * spread,
             mass=np.array(self._masses(rows)),
-            whole=np.array([row.cause[0] is Fault.DRIVE_LOST and row.shift == -1.0 for row in rows]),
+            whole=np.array(
+                [row.cause[0] is Fault.DRIVE_LOST and row.shift == -1.0 for row in rows]
+            ),
         )
 
     def _masses(self, rows: list[ChangeRow]) -> list[float]:
@@ -167,13 +177,24 @@ class Competition:
         row = self._model.disturbance_row(sample.disturbances or None)
         u = np.array(sample.inputs)
         healthy.open(values, u, row)
-        readings = list(zip(self.sensors, values.tolist(), counts.tolist(), strict=True))
+        readings = list(
+            zip(self.sensors, values.tolist(), counts.tolist(), strict=True)
+        )
         for sensor, value, it_counts in readings:
             sensor.read(value, it_counts)
         reading, variance = self._reading(values, counts, healthy.acting(u), row)
         levels = healthy.levels
         code = self._model.kernels.code
-        step(code, healthy.fixed, healthy.members, traces, table, levels, reading, self.count)
+        step(
+            code,
+            healthy.fixed,
+            healthy.members,
+            traces,
+            table,
+            levels,
+            reading,
+            self.count,
+        )
         self._rehearse(reading, variance)
         if self.through:
             is_lying = np.isin(np.arange(counts.size), list(self.through))
@@ -186,7 +207,16 @@ class Competition:
             for (sensor, value, it_counts), nats in zip(readings, gained, strict=True)
         ]
         total = healthy.weigh(sum(without_equations))
-        tally(traces, table, levels, total, healthy.doubts, self.count, self._totals, self._likeliest)
+        tally(
+            traces,
+            table,
+            levels,
+            total,
+            healthy.doubts,
+            self.count,
+            self._totals,
+            self._likeliest,
+        )
         healthy.score_forecasts(self.count, values, counts, variance, reach)
         gained = healthy.members.gained[healthy.best].tolist()
         for (sensor, value, it_counts), nats in zip(readings, gained, strict=True):
@@ -198,9 +228,15 @@ class Competition:
         self, values: FloatArray, counts: BoolArray, inputs: FloatArray, row: FloatArray
     ) -> tuple[Reading, FloatArray]:
         """Readings with what is known of their sensors, and the variances of their noise."""
-        learned = [(s.repeated, s.noise, s.step, s.pause, s.variance) for s in self.sensors]
-        repeated, noise, digit, pause, variance = np.array(list(zip(*learned, strict=True)))
-        return Reading(values, counts, repeated, noise, digit, pause, inputs, row), variance
+        learned = [
+            (s.repeated, s.noise, s.step, s.pause, s.variance) for s in self.sensors
+        ]
+        repeated, noise, digit, pause, variance = np.array(
+            list(zip(*learned, strict=True))
+        )
+        return Reading(
+            values, counts, repeated, noise, digit, pause, inputs, row
+        ), variance
 
     def _begin_traces(self, reach: int) -> None:
         """Follow changes that begin now, and forget those that began `reach` samples ago."""
@@ -208,14 +244,29 @@ class Competition:
         if not self._suspected and healthy.choose_way():
             self._clear()
         weights = healthy.log_weights[: healthy.levels].copy()
-        weights[-1] = -np.inf  # if not even the last but one is careful enough, nobody is accused
-        spawn(self._traces, self.table, healthy.members.at, weights, _LEAST_LOG_WEIGHT, reach, self.count)
+        # if not even the last but one is careful enough, nobody is accused
+        weights[-1] = -np.inf
+        spawn(
+            self._traces,
+            self.table,
+            healthy.members.at,
+            weights,
+            _LEAST_LOG_WEIGHT,
+            reach,
+            self.count,
+        )
 
     def _rehearse(self, reading: Reading, variance: FloatArray) -> None:
         """Read through each sensor that is right, to know what such an estimate is worth."""
         for output, rehearsal in enumerate(self._rehearsals):
-            if rehearsal.on is None and self.known >= _FOLLOWING.rehearsed and not self.through:
-                rehearsal.begin(self._without(output, 0), early=self.known < _FOLLOWING.known_well)
+            if (
+                rehearsal.on is None
+                and self.known >= _FOLLOWING.rehearsed
+                and not self.through
+            ):
+                rehearsal.begin(
+                    self._without(output, 0), early=self.known < _FOLLOWING.known_well
+                )
             rehearsal.push(reading, float(variance[output]), output)
 
     def _without(self, output: int, since: int) -> ReadThrough:
@@ -223,7 +274,12 @@ class Competition:
         healthy = self.healthy
         band = self._rehearsals[output].band
         return ReadThrough(
-            self._model, healthy.without(output, since), healthy.fixed, output, table=self.table, band=band
+            self._model,
+            healthy.without(output, since),
+            healthy.fixed,
+            output,
+            table=self.table,
+            band=band,
         )
 
     def suspects(self) -> list[Suspect]:
@@ -238,12 +294,24 @@ class Competition:
             born = int(self._traces.born[trace])
             slowly = row.slowly * healthy.scale
             # Of a ramp, the part that has come so far.
-            share = min((self.count - born) * healthy.period / slowly, 1.0) if slowly else 1.0
+            share = (
+                min((self.count - born) * healthy.period / slowly, 1.0)
+                if slowly
+                else 1.0
+            )
             shift = float(self._traces.mean[trace])
             error = math.sqrt(self._traces.variance[trace])
             evidence = float(self._totals[cause]) - price_of_hour
             suspects.append(
-                Suspect(self._causes[cause], evidence, row, shift * share, error * share, born, trace)
+                Suspect(
+                    self._causes[cause],
+                    evidence,
+                    row,
+                    shift * share,
+                    error * share,
+                    born,
+                    trace,
+                )
             )
         for i, sensor in enumerate(self.sensors):
             evidence = sensor.frozen - math.log(_HOUR * self.second) - price_of_hour
@@ -258,7 +326,9 @@ class Competition:
     def frozen(self, output: int, value: float) -> bool:
         """Whether a reading is far from what was expected before it began to repeat itself."""
         sensor = self.sensors[output]
-        missed = self.healthy.missed(self.count - 1 - sensor.repeats, output, value, sensor.variance)
+        missed = self.healthy.missed(
+            self.count - 1 - sensor.repeats, output, value, sensor.variance
+        )
         return missed or self._rehearsals[output].missed(sensor.repeats, value)
 
     def read_through(self, output: int, since: int) -> None:
@@ -284,7 +354,9 @@ class Competition:
             return True
         variance = np.array([sensor.variance for sensor in self.sensors])
         knows = self.healthy.skill.knows(variance)
-        concerns_one_output = TRAITS[fault].subject is Subject.OUTPUT or fault is Fault.DISTURBANCE
+        concerns_one_output = (
+            TRAITS[fault].subject is Subject.OUTPUT or fault is Fault.DISTURBANCE
+        )
         return bool(knows[place] if concerns_one_output else knows.all())
 
     @property
@@ -300,19 +372,31 @@ class Competition:
 
     def believed(self, name: str) -> float:
         """The believed value of one of the numbers."""
-        return float(self.healthy.members.at[self.healthy.best, self.healthy.numbers[name]])
+        return float(
+            self.healthy.members.at[self.healthy.best, self.healthy.numbers[name]]
+        )
 
     def remains(self, suspect: Suspect) -> float:
         """Share of a jump of the number that has not faded."""
-        return float(self._traces.trace[suspect.hypothesis, self.healthy.numbers[suspect.row.number]])
+        return float(
+            self._traces.trace[
+                suspect.hypothesis, self.healthy.numbers[suspect.row.number]
+            ]
+        )
 
     def jumped(self, age: int) -> list[int]:
         """Outputs whose readings have jumped at once, `age` samples ago or the one after, and have stayed
         there; none unless there are two."""
-        newest = {output: sensor.jump for output, sensor in enumerate(self.sensors) if sensor.jump.size}
+        newest = {
+            output: sensor.jump
+            for output, sensor in enumerate(self.sensors)
+            if sensor.jump.size
+        }
         if not any(jump.age == age for jump in newest.values()):
             return []
-        at_once = [output for output, jump in newest.items() if jump.age in {age - 1, age}]
+        at_once = [
+            output for output, jump in newest.items() if jump.age in {age - 1, age}
+        ]
         return at_once if len(at_once) > 1 else []
 
     def adopt_jumps(self, outputs: list[int]) -> None:
@@ -322,7 +406,9 @@ class Competition:
             place = self.healthy.numbers[f"offset {output}"]
             sensor = self.sensors[output]
             members.at[: self.healthy.healthy, place] += sensor.jump.size
-            members.covariance[: self.healthy.healthy, place, place] += 2.0 * sensor.variance
+            members.covariance[: self.healthy.healthy, place, place] += (
+                2.0 * sensor.variance
+            )
             sensor.jump = Jump(0, 0.0)
         self._clear()
         self.healthy.forget_newest()
@@ -337,12 +423,22 @@ class Competition:
         row = suspect.hypothesis // _FOLLOWING.slots % len(self.rows)
         for b in range(self.healthy.healthy):
             begin = (b * len(self.rows) + row) * _FOLLOWING.slots
-            traces_of_row = range(begin, begin + _FOLLOWING.slots) if b < self.healthy.levels else ()
-            t = next((t for t in traces_of_row if traces.born[t] == suspect.born), suspect.hypothesis)
+            traces_of_row = (
+                range(begin, begin + _FOLLOWING.slots)
+                if b < self.healthy.levels
+                else ()
+            )
+            t = next(
+                (t for t in traces_of_row if traces.born[t] == suspect.born),
+                suspect.hypothesis,
+            )
             members.at[b] += traces.trace[t] * traces.mean[t]
-            members.covariance[b] += np.outer(traces.trace[t], traces.trace[t]) * traces.variance[t]
+            members.covariance[b] += (
+                np.outer(traces.trace[t], traces.trace[t]) * traces.variance[t]
+            )
         self._clear()
         self.healthy.forget_newest()
         for output, rehearsal in enumerate(self._rehearsals):
-            if suspect.cause != (Fault.SENSOR_DRIFT, output):  # its rehearsal does not use that sensor
+            if suspect.cause != (Fault.SENSOR_DRIFT, output):
+                # its rehearsal does not use that sensor
                 rehearsal.drop()

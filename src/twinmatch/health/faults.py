@@ -188,7 +188,9 @@ class Alarm:
         return self.first <= last and (self.last is None or self.last >= first)
 
 
-def touching(alarms: Iterable[Alarm], first: int, last: int, *, slow: bool) -> Alarm | None:
+def touching(
+    alarms: Iterable[Alarm], first: int, last: int, *, slow: bool
+) -> Alarm | None:
     """The first alarm whose trace touches the samples `first` to `last`, both included.
 
     Nothing should be learned from such a window. Slow changes are left out unless asked for: matching
@@ -249,11 +251,15 @@ class EstimatedReading:
 _SUDDEN: Final = frozenset(
     fault for fault, traits in TRAITS.items() if not traits.slow and not traits.unnamed
 )
-_NAMED: Final = frozenset(fault for fault, traits in TRAITS.items() if traits.slow and not traits.unnamed)
+_NAMED: Final = frozenset(
+    fault for fault, traits in TRAITS.items() if traits.slow and not traits.unnamed
+)
 PRECEDENCE: Final = {
     Fault.DISTURBANCE: _SUDDEN | SLOW,
     Fault.DRIFT: _SUDDEN | _NAMED | {Fault.DISTURBANCE},
-    Fault.DRIVE_WEAK: frozenset({Fault.DRIVE_LOST, Fault.SENSOR_FROZEN, Fault.SENSOR_IMPLAUSIBLE}),
+    Fault.DRIVE_WEAK: frozenset(
+        {Fault.DRIVE_LOST, Fault.SENSOR_FROZEN, Fault.SENSOR_IMPLAUSIBLE}
+    ),
     **{fault: _SUDDEN | (_NAMED - {fault}) for fault in _NAMED},
 }
 """For each fault, the graver ones that replace it while it is on."""

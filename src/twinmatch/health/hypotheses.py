@@ -94,22 +94,41 @@ def _rows_of_drive(j: int, reach: float) -> Iterator[ChangeRow]:
     `reach` is the width of its range.
     """
     share = f"share {j}"
-    yield ChangeRow((Fault.DRIVE_LOST, j), share, shift=-1.0, spread=0.03, least=0.5, wanders=0.05)
+    yield ChangeRow(
+        (Fault.DRIVE_LOST, j), share, shift=-1.0, spread=0.03, least=0.5, wanders=0.05
+    )
     yield ChangeRow((Fault.DRIVE_WEAK, j), share, shift=-0.35, spread=0.2, least=0.1)
     yield ChangeRow((Fault.DRIVE_WEAK, j), share, shift=0.3, spread=0.2, least=MORE)
-    yield ChangeRow((Fault.DRIVE_WEAK, j), share, spread=0.3, least=0.1, slowly=300.0, price=RARE)
+    yield ChangeRow(
+        (Fault.DRIVE_WEAK, j), share, spread=0.3, least=0.1, slowly=300.0, price=RARE
+    )
     push = 0.15 * reach
     least = 0.05 * reach
-    yield ChangeRow((Fault.DRIFT, j), f"push {j}", spread=push, least=least, price=UNKNOWN)
+    yield ChangeRow(
+        (Fault.DRIFT, j), f"push {j}", spread=push, least=least, price=UNKNOWN
+    )
 
 
 def _rows_of_supply(drives: int) -> Iterator[ChangeRow]:
     """What all drives share, such as their supply, is lost, or does less or more."""
     also = tuple(f"share {j}" for j in range(1, drives))
     yield ChangeRow(
-        (Fault.DRIVE_LOST, EVERY), "share 0", also=also, shift=-1.0, spread=0.03, least=0.5, wanders=0.05
+        (Fault.DRIVE_LOST, EVERY),
+        "share 0",
+        also=also,
+        shift=-1.0,
+        spread=0.03,
+        least=0.5,
+        wanders=0.05,
     )
-    weak = ChangeRow((Fault.DRIVE_WEAK, EVERY), "share 0", also=also, shift=-0.35, spread=0.2, least=0.1)
+    weak = ChangeRow(
+        (Fault.DRIVE_WEAK, EVERY),
+        "share 0",
+        also=also,
+        shift=-0.35,
+        spread=0.2,
+        least=0.1,
+    )
     yield weak
     yield replace(weak, shift=0.3, least=MORE)
 
@@ -119,6 +138,19 @@ def _rows_of_sensor(i: int, noise: float) -> Iterator[ChangeRow]:
     drift = (Fault.SENSOR_DRIFT, i)
     offset = f"offset {i}"
     yield ChangeRow(drift, offset, spread=30.0 * noise, least=8.0 * noise, wanders=0.1)
-    yield ChangeRow(drift, offset, spread=30.0 * noise, least=8.0 * noise, slowly=300.0, price=CREEPS)
+    yield ChangeRow(
+        drift,
+        offset,
+        spread=30.0 * noise,
+        least=8.0 * noise,
+        slowly=300.0,
+        price=CREEPS,
+    )
     for spread in (3.0 * noise, 12.0 * noise):
-        yield ChangeRow((Fault.DISTURBANCE, i), f"fading {i}", spread=spread, least=noise, lasting=30.0)
+        yield ChangeRow(
+            (Fault.DISTURBANCE, i),
+            f"fading {i}",
+            spread=spread,
+            least=noise,
+            lasting=30.0,
+        )

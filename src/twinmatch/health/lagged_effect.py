@@ -21,7 +21,15 @@ from typing import Final, NamedTuple, cast
 import numpy as np
 
 from twinmatch.compiled import compiled
-from twinmatch.dynamics import Parameters, PlantError, State, advance, begin, read, simulate_driven
+from twinmatch.dynamics import (
+    Parameters,
+    PlantError,
+    State,
+    advance,
+    begin,
+    read,
+    simulate_driven,
+)
 from twinmatch.dynamics.kernels import OUTPUTS, SWITCHES, Code, call, tick, work_for
 from twinmatch.dynamics.observer import Observer, RandomWalk
 from twinmatch.dynamics.pace import slow_scale
@@ -88,7 +96,11 @@ class ErrorModel:
         """Usual error (1 σ) of a stretch over which the plant moves so far, and so far because the drive was
         turned down."""
         share = max(math.sqrt(self.share), _ERRORS.least_share)
-        return math.hypot(math.sqrt(self.rest), min(share, _ERRORS.moving_share) * moved, share * turned_down)
+        return math.hypot(
+            math.sqrt(self.rest),
+            min(share, _ERRORS.moving_share) * moved,
+            share * turned_down,
+        )
 
     @property
     def mean(self) -> float:
@@ -103,8 +115,13 @@ class ErrorModel:
         square = min(error**2, _ERRORS.clip**2 * total)
         # The expected squares of both parts, given their sum.
         square_at_rest = at_rest * moving / total + (at_rest / total) ** 2 * square
-        share = self.share * at_rest / total + (self.share * moved / total) ** 2 * square
-        counts = (min(self.seen[0] + 1.0, _MEMORY[0]), min(self.seen[1] + moving / total, _MEMORY[1]))
+        share = (
+            self.share * at_rest / total + (self.share * moved / total) ** 2 * square
+        )
+        counts = (
+            min(self.seen[0] + 1.0, _MEMORY[0]),
+            min(self.seen[1] + moving / total, _MEMORY[1]),
+        )
         return ErrorModel(
             self.rest + (square_at_rest - self.rest) / counts[0],
             self.share + (share - self.share) / counts[1],
@@ -129,7 +146,7 @@ class TrackedSample(NamedTuple):
 
 
 @compiled
-def _outputs_under(  # noqa: PLR0917 (what a run needs)
+def _outputs_under(  # noqa: PLR0917
     code: Code,
     vector: FloatArray,
     x: FloatArray,
@@ -161,7 +178,9 @@ def _outputs_under(  # noqa: PLR0917 (what a run needs)
                     if instant:
                         read[0] = inputs[min(i, n) if k == 0 else 0]
                     call(code[SWITCHES], states, read, usual, work.p, work.b, work.b)
-                    call(code[OUTPUTS], states, read, usual, work.p, work.b, work.outputs)
+                    call(
+                        code[OUTPUTS], states, read, usual, work.p, work.b, work.outputs
+                    )
                     outputs[k, place] = work.outputs[0]
             if i < n + later:
                 place_of_input = min(i, n - 1)
@@ -212,7 +231,9 @@ class SimulatedSpan:
         for name, parameter in twin.model.declared.items():
             if parameter.role == "room":
                 lowest = 0.5 * twin[name] if parameter.positive else parameter.least
-                room = twin.replace(**{name: max(twin[name] - change * parameter.scale, lowest)})
+                room = twin.replace(
+                    **{name: max(twin[name] - change * parameter.scale, lowest)}
+                )
                 moved = max(moved, abs(self._outputs(room)[0][1] - self.driven))
         return moved
 
@@ -310,7 +331,12 @@ def is_lagged(parameters: Parameters, period: float) -> bool:
     moved = []
     try:
         for u in (drive, model.plant.drive.rest):
-            run = simulate_driven(parameters, np.full(12, u), states=begin(parameters, level), period=period)
+            run = simulate_driven(
+                parameters,
+                np.full(12, u),
+                states=begin(parameters, level),
+                period=period,
+            )
             moved.append(run.output)
     except PlantError:  # the equations have no solution in the middle of the range
         return False
@@ -383,7 +409,8 @@ class LaggedEffect(DriveEffect):
 
         While a reading is repeated, the plant is assumed to have moved on from its states before that.
         """
-        if abs(shift - self._shift) > _EFFECT.shifted * self._noise:  # what was estimated since is wrong
+        if abs(shift - self._shift) > _EFFECT.shifted * self._noise:
+            # what was estimated since is wrong
             self.restart()
         self._shift = shift
         if shift:
@@ -415,7 +442,13 @@ class LaggedEffect(DriveEffect):
         moved = 0.0
         if self._past and self._standing is not None:
             last = self._past[-1]
-            on = advance(last.parameters, self._standing, last.input, self._period, last.disturbances)
+            on = advance(
+                last.parameters,
+                self._standing,
+                last.input,
+                self._period,
+                last.disturbances,
+            )
             before = read(last.parameters, self._standing, input=last.input)
             moved = read(last.parameters, on, input=sample.input) - before
             self._standing = on
@@ -426,10 +459,19 @@ class LaggedEffect(DriveEffect):
             self._standing = states
         self._reading = sample.output
         # While it is reported as lost, silence would count as its recovery.
-        settled = self._frozen or self._followed * self._period >= _DRIFTS.settled * self._scale
+        settled = (
+            self._frozen
+            or self._followed * self._period >= _DRIFTS.settled * self._scale
+        )
         self._past.append(
             TrackedSample(
-                observer.parameters, states, sample.input, sample.output, row, self._errors, settled
+                observer.parameters,
+                states,
+                sample.input,
+                sample.output,
+                row,
+                self._errors,
+                settled,
             )
         )
         self._inputs = np.append(self._inputs, sample.input)[-len(self._past) :]
@@ -465,7 +507,9 @@ class LaggedEffect(DriveEffect):
             )
             error = output - stretch.driven
 
-            def later(delay: int, first: int = first, stood: float = stood) -> SimulatedSpan:
+            def later(
+                delay: int, first: int = first, stood: float = stood
+            ) -> SimulatedSpan:
                 """The same stretch if inputs act so many samples later."""
                 places = np.maximum(np.arange(first, len(past)) - delay, 0)
                 return SimulatedSpan(
@@ -479,7 +523,9 @@ class LaggedEffect(DriveEffect):
 
             self._weigh(stretch, error, stretch.first.errors[k], later, output)
             if not self._frozen:
-                learned[k] = learned[k].learned(error, max(abs(stretch.changed), abs(stretch.moved)))
+                learned[k] = learned[k].learned(
+                    error, max(abs(stretch.changed), abs(stretch.moved))
+                )
         self._errors = tuple(learned)
 
     def _weigh(
@@ -500,7 +546,9 @@ class LaggedEffect(DriveEffect):
             return
         share = 1.0 + error / effect
         accuses_drive = share < FOLLOWS[0]
-        usual_error = errors.error(stretch.moved, changed if changed * effect < 0.0 else 0.0)
+        usual_error = errors.error(
+            stretch.moved, changed if changed * effect < 0.0 else 0.0
+        )
         if self.newcomer:
             usual_error = max(usual_error, errors.mean)
         least_effect = max(_EFFECT.noises * self._noise, _EFFECT.errors * usual_error)
@@ -512,13 +560,19 @@ class LaggedEffect(DriveEffect):
         counts = abs(effect) >= least_effect
         if len(stretch) >= self._spans[_EFFECT.long] and sees_drive:
             least_missing = _EFFECT.missing * least_effect
-            counts = counts or least_missing <= missing <= _EFFECT.most_missing * abs(effect)
+            counts = counts or least_missing <= missing <= _EFFECT.most_missing * abs(
+                effect
+            )
         if share >= self.share or not counts:
             return
-        if missing > _EFFECT.missing * abs(effect) and missing < stretch.colder(_EFFECT.room_change):
+        if missing > _EFFECT.missing * abs(effect) and missing < stretch.colder(
+            _EFFECT.room_change
+        ):
             return  # a colder room may be what is missing
         if accuses_drive and any(
-            self._explains(later(delay), output, effect) for delay in self.delays if delay > 0
+            self._explains(later(delay), output, effect)
+            for delay in self.delays
+            if delay > 0
         ):
             return  # the input may act later
         if accuses_drive and not self._frozen and self._has_rival():
@@ -572,7 +626,9 @@ class LaggedEffect(DriveEffect):
     def _random_walks(self) -> dict[str, RandomWalk]:
         declared = self._parameters.model.declared if not self._frozen else {}
         return {
-            name: RandomWalk(start=parameter.scale, drift=_DRIFTS.room * parameter.scale)
+            name: RandomWalk(
+                start=parameter.scale, drift=_DRIFTS.room * parameter.scale
+            )
             for name, parameter in declared.items()
             if parameter.role == "room"
         }

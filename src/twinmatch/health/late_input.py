@@ -89,7 +89,11 @@ class LateInput:
     def credible(self) -> tuple[int, ...]:
         """Delays that explain the readings about as well as the best of them, samples."""
         near = self._costs <= self._costs.min() + _DELAYS.credible
-        return tuple(delay for delay, credible in zip(self._delays, near.tolist(), strict=True) if credible)
+        return tuple(
+            delay
+            for delay, credible in zip(self._delays, near.tolist(), strict=True)
+            if credible
+        )
 
     @property
     def delay(self) -> int:
@@ -122,7 +126,9 @@ class LateInput:
     def _track(self) -> None:
         samples = list(self._past)[-self._size :]
         model = self._tracker.parameters.model
-        rows = np.array([model.disturbance_row(s.disturbances or None) for s in samples])
+        rows = np.array(
+            [model.disturbance_row(s.disturbances or None) for s in samples]
+        )
         rows = rows.reshape(self._size, -1)
         is_read = np.array([s.seen for s in samples])
         output = np.array([*self._before, *(s.output for s in samples)])
@@ -131,8 +137,12 @@ class LateInput:
         costs = np.zeros(len(self._delays))
         for place in range(len(self._delays)):
             late = self._late([s.input for s in self._past], self._delays[place])
-            belief = self._belief_before(place, samples[0].output, float(late[0]), rows[0])
-            belief, costs[place] = self._tracker.run(belief, Readings(output, late, rows, noise), 0)
+            belief = self._belief_before(
+                place, samples[0].output, float(late[0]), rows[0]
+            )
+            belief, costs[place] = self._tracker.run(
+                belief, Readings(output, late, rows, noise), 0
+            )
             if place < len(self._beliefs):
                 self._beliefs[place] = belief
             else:
@@ -145,7 +155,9 @@ class LateInput:
                 self._taken = best
         self._gap = False
 
-    def _belief_before(self, place: int, output: float, first_input: float, row: FloatArray) -> Belief:
+    def _belief_before(
+        self, place: int, output: float, first_input: float, row: FloatArray
+    ) -> Belief:
         """What is believed with the delay at a place before a block that begins with these values."""
         if len(self._beliefs) <= place:
             return self._tracker.begin(output, first_input, row, 0)

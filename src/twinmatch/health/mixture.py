@@ -155,7 +155,9 @@ class ForecastSkill:
         if self._count < self._LEAST:
             return np.ones(variance.size, dtype=bool)
         small = self._SMALL**2 * variance * self._count
-        return np.asarray(self._squares <= self._FARTHER**2 * np.maximum(self._standing, small))
+        return np.asarray(
+            self._squares <= self._FARTHER**2 * np.maximum(self._standing, small)
+        )
 
 
 class HealthyMixture:
@@ -174,11 +176,17 @@ class HealthyMixture:
         names = _numbers_of(model)
         self.numbers = {name: i for i, name in enumerate(names)}
         """Places in a belief."""
-        self._passing = [i for name, i in self.numbers.items() if name.split()[0] in {"passing", "fading"}]
+        self._passing = [
+            i
+            for name, i in self.numbers.items()
+            if name.split()[0] in {"passing", "fading"}
+        ]
         self._n = len(model.states)
         self.fixed = self._constants(Assumed.of(parameters, period))
         delays, lags = _WAYS
-        self._late = np.array(list(dict.fromkeys(round(delay * swift) for delay in delays)))
+        self._late = np.array(
+            list(dict.fromkeys(round(delay * swift) for delay in delays))
+        )
         self._ways = len(self._late) + len(lags)
         self._lagging = 1.0 - np.exp(-1.0 / (np.array(lags)[:, np.newaxis] * swift))
         self.levels = len(LEVELS)
@@ -220,7 +228,9 @@ class HealthyMixture:
             keeps[numbers[f"passing {i}"]] = assumed.keeps[1]
         self._shown = assumed.shown
         self._first = first
-        spans = np.array([output.span[1] - output.span[0] for output in model.plant.outputs.values()])
+        spans = np.array(
+            [output.span[1] - output.span[0] for output in model.plant.outputs.values()]
+        )
         return BankConstants(
             assumed.free,
             keeps,
@@ -258,9 +268,13 @@ class HealthyMixture:
 
     def open(self, values: FloatArray, u: FloatArray, row: FloatArray) -> None:
         """Begin, or begin again after a gap, at a reading; set the errors that are assumed."""
-        careful = LEVELS[max(self.levels - 1 - self.known // max(1, round(50.0 * self.second)), 0)]
+        careful = LEVELS[
+            max(self.levels - 1 - self.known // max(1, round(50.0 * self.second)), 0)
+        ]
         self.members.error[: self.levels] = np.maximum(LEVELS, careful)
-        self.members.error[self.levels : self.healthy] = LEVELS[min(self.best + 1, self.levels - 1)]
+        self.members.error[self.levels : self.healthy] = LEVELS[
+            min(self.best + 1, self.levels - 1)
+        ]
         if not self._again:
             return
         states = begin(self.parameters, values, input=u, disturbances=row)
@@ -301,7 +315,14 @@ class HealthyMixture:
     def weigh(self, walked: float) -> float:
         """Weigh all by a sample, `walked` without equations; its log-probability if the plant is healthy."""
         switch = self.period / (_SWITCHING.switch * self.scale)
-        total = weigh(self.members.gained, self.members.alive, self.log_weights, self._usual, switch, walked)
+        total = weigh(
+            self.members.gained,
+            self.members.alive,
+            self.log_weights,
+            self._usual,
+            switch,
+            walked,
+        )
         self.best = int(np.argmax(self.log_weights[: self.levels]))
         return total
 
@@ -315,35 +336,55 @@ class HealthyMixture:
 
     def _begun_before(self, since: int) -> BoolArray:
         """Which forecasts were made before a sample."""
-        return np.asarray((np.array(self._begun) < since) & self.members.alive[self.healthy :])
+        return np.asarray(
+            (np.array(self._begun) < since) & self.members.alive[self.healthy :]
+        )
 
     def without(self, output: int, since: int) -> BankMembers:
         """A copy of the most probable filter that ascribes nothing to the sensor of this output; of one that
         has taken no reading since a sample, if there is one."""
         before = np.flatnonzero(self._begun_before(since))
-        b = self.healthy + max(before, key=self._begun.__getitem__) if before.size else self.best
+        b = (
+            self.healthy + max(before, key=self._begun.__getitem__)
+            if before.size
+            else self.best
+        )
         member = BankMembers(*(array[b : b + 1].copy() for array in self.members))
         member.takes[:] = True
         member.error[:] = self.members.error[self.best]
-        for number in (self.numbers[f"offset {output}"], self.numbers[f"passing {output}"]):
+        for number in (
+            self.numbers[f"offset {output}"],
+            self.numbers[f"passing {output}"],
+        ):
             member.at[0, number] = 0.0
             member.covariance[0, number, :] = 0.0
             member.covariance[0, :, number] = 0.0
         return member
 
     def score_forecasts(
-        self, count: int, values: FloatArray, counts: BoolArray, variance: FloatArray, reach: int
+        self,
+        count: int,
+        values: FloatArray,
+        counts: BoolArray,
+        variance: FloatArray,
+        reach: int,
     ) -> None:
         """Compare forecasts with the readings, whose own variance is given, and begin another; `count` are
         the samples since the last gap, and `reach` is the highest age of a change."""
         self._score_and_end(count, values, variance, all_seen=bool(counts.all()))
-        late = _RECORD.counted * self.second if self.known > _RECORD.known * self.second else 0.0
+        late = (
+            _RECORD.counted * self.second
+            if self.known > _RECORD.known * self.second
+            else 0.0
+        )
         has_news = False
         while self._waiting and self.known - self._waiting[0].at > late:
             scored = self._waiting.popleft()
             self.skill.take(scored)
             weight = _KEPT * self._weights[scored.ahead]
-            dispersion = (weight * self._dispersion[scored.ahead] + scored.error) / (weight + 1.0)
+            dispersion = (weight * self._dispersion[scored.ahead] + scored.error) / (
+                weight + 1.0
+            )
             self._dispersion[scored.ahead] = dispersion
             self._weights[scored.ahead] = weight + 1.0
             has_news = True
@@ -352,7 +393,9 @@ class HealthyMixture:
             ages = np.log(np.maximum(np.arange(reach + 3), 1))
             self.doubts = np.interp(ages, np.log(self._ahead), dispersion)
 
-    def _score_and_end(self, count: int, values: FloatArray, variance: FloatArray, *, all_seen: bool) -> None:
+    def _score_and_end(
+        self, count: int, values: FloatArray, variance: FloatArray, *, all_seen: bool
+    ) -> None:
         """Score the forecasts that are as old as one that is compared, end the oldest, and begin another."""
         members = self.members
         free = -1
@@ -361,10 +404,14 @@ class HealthyMixture:
             age = count - self._begun[k]
             if alive and age in self._ahead and all_seen:
                 squares = (values - members.expected[b]) ** 2
-                in_variances = np.minimum(squares / (members.variance[b] + variance), _RECORD.most)
+                in_variances = np.minimum(
+                    squares / (members.variance[b] + variance), _RECORD.most
+                )
                 standing = (values - self._values_begun[k]) ** 2
                 ahead = self._ahead.index(age)
-                scored = ScoredForecast(self.known, ahead, float(in_variances.mean()), squares, standing)
+                scored = ScoredForecast(
+                    self.known, ahead, float(in_variances.mean()), squares, standing
+                )
                 self._waiting.append(scored)
             if not alive or age >= self._ahead[-1]:
                 members.alive[b] = False

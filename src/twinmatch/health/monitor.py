@@ -83,7 +83,9 @@ class Monitor:
         self.settings = settings or HealthSettings()
         self._known = bool(self.settings.reference.model.plant.typical)
         """Whether the drive's effect on this plant is known, if only roughly."""
-        self._sentences = FaultSentences(self.settings.reference.model, self.settings.period)
+        self._sentences = FaultSentences(
+            self.settings.reference.model, self.settings.period
+        )
         self._lag = Lag(self.settings.pace)
         self._begin_with(self.settings)
         self._repeats = self._new_repeats()
@@ -91,10 +93,12 @@ class Monitor:
         self._until_trial = 0  # blocks until the given parameters are tried again
         self._newest: Sample | None = None
         self._before: Sample | None = None  # the newest one, unless it is not usable
-        self._begin = self._index = -2  # of the unbroken run of samples; no index can follow −2
+        # of the unbroken run of samples; no index can follow −2
+        self._begin = self._index = -2
         self._contrary = 0  # samples in a row without the drive's effect
         self._feeble = 0  # samples in a row with too small an effect
-        self._quiet = 0  # samples in a row without any trace, except that of a slow change
+        # samples in a row without any trace, except that of a slow change
+        self._quiet = 0
         self._proofs = 0  # of those, the ones in which the plant followed the drive
         self._alarms: deque[Alarm] = deque(maxlen=_KEPT)
         self._refused = 0  # refused readings in a row
@@ -113,7 +117,9 @@ class Monitor:
         self._acts_within_sample = not lagged
         """Whether what the drive does within a sample is its effect; otherwise it is a small part of it, and
         smaller than the errors of the states that the output does not show."""
-        self._effect: DriveEffect = self._lagged_effect or Effect(settings.pace, self._balance.noise)
+        self._effect: DriveEffect = self._lagged_effect or Effect(
+            settings.pace, self._balance.noise
+        )
         self._slow = SlowChanges(settings, self._sentences, steps=lagged)
         self._timing = LateInput(settings.followed, period) if lagged else None
         self._delay = 0
@@ -129,7 +135,9 @@ class Monitor:
         """The newest alarms, oldest first, as many as are kept; only the last can still be on."""
         return tuple(self._alarms)
 
-    def fault_between(self, first: int, last: int, *, slow: bool = False) -> Alarm | None:
+    def fault_between(
+        self, first: int, last: int, *, slow: bool = False
+    ) -> Alarm | None:
         """The first alarm that touches these samples; see `touching`."""
         return touching(self._alarms, first, last, slow=slow)
 
@@ -152,12 +160,15 @@ class Monitor:
                 self._take(parameters)
         before = self._before
         evidence = self._examine(sample) if sample.usable else None
-        starting = (sample.index - self._begin) * self.settings.period < self.settings.start
+        starting = (
+            sample.index - self._begin
+        ) * self.settings.period < self.settings.start
         if sample.refused:
             evidence = self._sentences.refused(before, sample)
             starting = False
             self._refused_at = sample.index
-            if self._brief and not sample.usable:  # from now on it is the fault of a sensor that has failed
+            if self._brief and not sample.usable:
+                # from now on it is the fault of a sensor that has failed
                 self._alarms[-1] = replace(self._alarms[-1], spoils=True)
         self._refused = self._refused + 1 if sample.refused else 0
         self._before = sample if sample.usable else None
@@ -193,7 +204,11 @@ class Monitor:
         if self._predictor.earned:
             return ""
         late = self._delay * self.settings.period
-        return f"{_NEWCOMER}: its input seems to act {late:g} s late" if late else _NEWCOMER
+        return (
+            f"{_NEWCOMER}: its input seems to act {late:g} s late"
+            if late
+            else _NEWCOMER
+        )
 
     @property
     def doubt(self) -> str:
@@ -203,12 +218,20 @@ class Monitor:
     @property
     def _brief(self) -> bool:
         """Whether the fault that is on consists of a few refused readings, which count nowhere."""
-        return self._open and not self._alarms[-1].spoils and self._alarms[-1].fault is _REFUSED
+        return (
+            self._open
+            and not self._alarms[-1].spoils
+            and self._alarms[-1].fault is _REFUSED
+        )
 
     @property
     def _blind(self) -> bool:
         """Whether the fault that is on lets nothing be learned about the plant."""
-        return self._open and self._alarms[-1].spoils and TRAITS[self._alarms[-1].fault].blinds
+        return (
+            self._open
+            and self._alarms[-1].spoils
+            and TRAITS[self._alarms[-1].fault].blinds
+        )
 
     def _restart(self, index: int) -> None:
         if index <= self._index:  # another session
@@ -227,7 +250,9 @@ class Monitor:
     def _new_repeats(self) -> Repeats:
         plant = self.settings.reference.model.plant
         steps = plant.sensor.resolution if plant.sensor is not None else 0.0
-        return Repeats(self.settings.period, self.settings.frozen, self._balance.noise, steps)
+        return Repeats(
+            self.settings.period, self.settings.frozen, self._balance.noise, steps
+        )
 
     def _restart_traces(self) -> None:
         self._effect.restart()
@@ -242,7 +267,8 @@ class Monitor:
         self._until_trial = TRIAL
         better = self._balance.better_of(self._given)
         if better is not self._balance and self._lagged_effect is None:
-            self._restart_traces()  # sums of another balance say nothing beside the errors of this one
+            # sums of another balance say nothing beside the errors of this one
+            self._restart_traces()
         self._balance = better
 
     def _examine(self, sample: Sample) -> Evidence | None:
@@ -254,23 +280,43 @@ class Monitor:
         low, high = self.settings.reference.model.plant.output.span
         inward = float(sample.output <= low) - float(sample.output >= high)
         if not self._known:
-            self._repeats.push(sample.output - before.output, movement, inward, earned=False)
-            return self._sentences.frozen(sample, self._repeats) if self._repeats.stands else None
+            self._repeats.push(
+                sample.output - before.output, movement, inward, earned=False
+            )
+            return (
+                self._sentences.frozen(sample, self._repeats)
+                if self._repeats.stands
+                else None
+            )
         stood = self._repeats.stands
         after = movement
         acting = self._acting(sample)
         if self._lagged_effect is not None:
             self._lagged_effect.newcomer = not self._slow.compares
-            self._lagged_effect.freeze(self._open and self._alarms[-1].fault is Fault.DRIVE_LOST)
+            self._lagged_effect.freeze(
+                self._open and self._alarms[-1].fault is Fault.DRIVE_LOST
+            )
             after = self._lagged_effect.push(sample, self._slow.offset)
-        error = self._balance.roughness * self.settings.pace if self._acts_within_sample else 0.0
-        self._repeats.push(sample.output - before.output, after, inward, error, earned=self._predictor.earned)
-        if stood and not self._repeats.stands:  # it moves again, from wherever the plant went meanwhile
+        error = (
+            self._balance.roughness * self.settings.pace
+            if self._acts_within_sample
+            else 0.0
+        )
+        self._repeats.push(
+            sample.output - before.output,
+            after,
+            inward,
+            error,
+            earned=self._predictor.earned,
+        )
+        if stood and not self._repeats.stands:
+            # it moves again, from wherever the plant went meanwhile
             self._restart_traces()
             return None
         self._lag.push(movement)
         if self._acts_within_sample and isinstance(self._effect, Effect):
-            rough = min(self._balance.roughness, self._balance.at_rest)  # a lost drive makes it rough, too
+            # a lost drive makes it rough, too
+            rough = min(self._balance.roughness, self._balance.at_rest)
             self._effect.push(movement, rough, earned=self._balance.sees_drive)
         self._learn()
         self._track(acting)
@@ -279,7 +325,10 @@ class Monitor:
     @property
     def _predictor(self) -> Balance | LaggedEffect | SlowChanges:
         """The one that sees best how the plant moves."""
-        if self._lagged_effect is not None and self.settings.reference.model.plant.loop is not None:
+        if (
+            self._lagged_effect is not None
+            and self.settings.reference.model.plant.loop is not None
+        ):
             return self._lagged_effect
         return self._balance if self._acts_within_sample else self._slow
 
@@ -310,7 +359,8 @@ class Monitor:
             return self._sentences.frozen(sample, self._repeats)
         slow = self._slow.evidence
         if slow is not None and 0 < sample.index - slow.first <= self._repeats.count:
-            return slow._replace(sure=False)  # no reading has changed since: the sensor may be frozen
+            # no reading has changed since: the sensor may be frozen
+            return slow._replace(sure=False)
         if slow is not None and slow.fault is Fault.DRIVE_LOST and self._effect.follows:
             return slow._replace(sure=False)
         return slow
@@ -322,7 +372,8 @@ class Monitor:
         slow = self._slow.evidence
         stood = self._repeats.count
         if slow is not None and index - slow.first > stood:
-            return False  # a change that began before the reading stood explains it, too
+            # a change that began before the reading stood explains it, too
+            return False
         return stood * self.settings.pace >= _REPORTING.stood
 
     def _track(self, sample: Sample) -> None:
@@ -337,20 +388,35 @@ class Monitor:
         lost = self._effect.share < self.settings.lost
         self._contrary = self._contrary + 1 if lost else 0
         self._feeble += 1
-        lag = self._lag.seconds(self._effect.length) if self._lagged_effect is None else None
+        lag = (
+            self._lag.seconds(self._effect.length)
+            if self._lagged_effect is None
+            else None
+        )
         if lag is not None:
             lag *= self.settings.period / self.settings.pace
         sure = self._contrary >= _REPORTING.confirm
         if self._acts_within_sample and not self._balance.earned:
             # A balance that has not predicted this plant may not know how late it follows.
-            sure = sure and (self._contrary + self._effect.length) * self.settings.pace >= _REPORTING.shows
+            sure = (
+                sure
+                and (self._contrary + self._effect.length) * self.settings.pace
+                >= _REPORTING.shows
+            )
         if lag is not None:
             return self._sentences.late(index, self._effect, lag, sure=sure)
-        weakly = self._balance.smooth and self._feeble * self.settings.pace >= _REPORTING.weakly
+        weakly = (
+            self._balance.smooth
+            and self._feeble * self.settings.pace >= _REPORTING.weakly
+        )
         if lost and (sure or not weakly):
             losses_may_explain = self._losses_may_explain
-            lagged = losses_may_explain or (self._lagged_effect is not None and not self._slow.compares)
-            missing = self._sentences.lost(index, self._effect, sure=sure, lagged=lagged)
+            lagged = losses_may_explain or (
+                self._lagged_effect is not None and not self._slow.compares
+            )
+            missing = self._sentences.lost(
+                index, self._effect, sure=sure, lagged=lagged
+            )
             if not losses_may_explain:
                 return missing
             named = self._slow.evidence
@@ -362,16 +428,25 @@ class Monitor:
     @property
     def _losses_may_explain(self) -> bool:
         """Whether larger losses may explain a missing effect as well: behind a lag, they do for a minute."""
-        is_comparable = self._lagged_effect is not None and not self._blind and self._slow.compares
+        is_comparable = (
+            self._lagged_effect is not None and not self._blind and self._slow.compares
+        )
         if not is_comparable or self._slow.blames_drive:
             return False
         lasts = self._index - self._alarms[-1].flagged if self._unsettled else 0
-        return lasts * self.settings.pace < _REPORTING.shows or self._effect.share > NOTHING
+        return (
+            lasts * self.settings.pace < _REPORTING.shows
+            or self._effect.share > NOTHING
+        )
 
     @property
     def _unsettled(self) -> bool:
         """Whether the alarm that is on says that the drive or the losses have changed."""
-        return self._open and self._alarms[-1].fault is Fault.DRIFT and not self._slow_alarm
+        return (
+            self._open
+            and self._alarms[-1].fault is Fault.DRIFT
+            and not self._slow_alarm
+        )
 
     def _learn(self) -> None:
         """Learn from a block once it is full, unless something was wrong in it."""
@@ -385,10 +460,16 @@ class Monitor:
         if quiet:
             self._try()
 
-    def _judge(self, index: int, evidence: Evidence | None, starting: bool) -> Alarm | None:
+    def _judge(
+        self, index: int, evidence: Evidence | None, starting: bool
+    ) -> Alarm | None:
         """Open and close alarms; return the one that changed."""
         # A refused reading that was replaced interrupts nothing: the sample remains usable.
-        is_replaced = evidence is not None and evidence.fault is _REFUSED and self._before is not None
+        is_replaced = (
+            evidence is not None
+            and evidence.fault is _REFUSED
+            and self._before is not None
+        )
         if evidence is not None and not evidence.slow and not is_replaced:
             self._quiet = self._proofs = 0
         else:
@@ -399,8 +480,13 @@ class Monitor:
             if news is not None:
                 return news
         if self._open and self._recovered():
-            if self._alarms[-1].fault in _OF_THE_DRIVE and self._acts_within_sample and not self._slow_alarm:
-                self._restart_traces()  # stretches that reach back into the fault show it still
+            if (
+                self._alarms[-1].fault in _OF_THE_DRIVE
+                and self._acts_within_sample
+                and not self._slow_alarm
+            ):
+                # stretches that reach back into the fault show it still
+                self._restart_traces()
                 self._slow.restart()
             if self._brief:
                 return self._close(self._refused_at)
@@ -415,9 +501,12 @@ class Monitor:
         if self._open:
             on = self._alarms[-1].fault
             if evidence.slow and evidence.fault is on and self._slow.reported is None:
-                self._slow.mark_reported(index)  # the drive's effect has reported it already
+                # the drive's effect has reported it already
+                self._slow.mark_reported(index)
                 self._slow_alarm = self._slow_alarm or on is Fault.DRIFT
-            preceding = frozenset(Fault) - {_REFUSED} if self._brief else PRECEDENCE.get(on, ())
+            preceding = (
+                frozenset(Fault) - {_REFUSED} if self._brief else PRECEDENCE.get(on, ())
+            )
             if evidence.fault not in preceding:
                 return None
             if evidence.fault is _REFUSED and self._refused < _REPORTING.confirm:
@@ -425,7 +514,9 @@ class Monitor:
             if self._brief:
                 self._close(self._refused_at)
             elif self._unsettled and evidence.fault not in SLOW:  # it is the same trace
-                evidence = evidence._replace(first=min(evidence.first, self._alarms[-1].first))
+                evidence = evidence._replace(
+                    first=min(evidence.first, self._alarms[-1].first)
+                )
                 self._close(index - 1)
             else:
                 earliest = index
@@ -470,13 +561,21 @@ class Monitor:
             return True
         if self._slow_alarm:
             return self._slow.over(self._index)
-        if fault in _OF_THE_DRIVE and self._acts_within_sample and isinstance(self._effect, Effect):
+        if (
+            fault in _OF_THE_DRIVE
+            and self._acts_within_sample
+            and isinstance(self._effect, Effect)
+        ):
             return self._effect.returned >= _REPORTING.over
         if fault in (*_OF_THE_DRIVE, Fault.SENSOR_LATE, Fault.DRIFT):
             suspected = fault is Fault.DRIFT and self._slow.suspected
-            return (proven >= _REPORTING.prove or quiet >= _REPORTING.unproven) and not suspected
+            return (
+                proven >= _REPORTING.prove or quiet >= _REPORTING.unproven
+            ) and not suspected
         if self._brief:
-            return (self._index - self._refused_at) * self.settings.pace >= _REPORTING.recovered
+            return (
+                self._index - self._refused_at
+            ) * self.settings.pace >= _REPORTING.recovered
         return quiet >= _REPORTING.recovered
 
     def _close(self, last: int) -> Alarm:
@@ -485,16 +584,30 @@ class Monitor:
         self._open = False
         return self._alarms[-1]
 
-    def _health(self, index: int, evidence: Evidence | None, starting: bool, news: Alarm | None) -> Health:
+    def _health(
+        self, index: int, evidence: Evidence | None, starting: bool, news: Alarm | None
+    ) -> Health:
         share = self._effect.share
         rate = self._slow.rate
         if self._open:
             alarm = self._alarms[-1]
             is_same = evidence is not None and evidence.fault is alarm.fault
-            reason = evidence.reason if evidence is not None and is_same else alarm.reason
+            reason = (
+                evidence.reason if evidence is not None and is_same else alarm.reason
+            )
             since = alarm.first
             signal = alarm.signal
-            return Health(index, HealthState.FAULT, alarm.fault, since, reason, share, rate, news, signal)
+            return Health(
+                index,
+                HealthState.FAULT,
+                alarm.fault,
+                since,
+                reason,
+                share,
+                rate,
+                news,
+                signal,
+            )
         if evidence is None:
             return Health(index, HealthState.HEALTHY, None, None, "", share, rate, news)
         # At the start a late camera looks like a dead drive, and is far more common.
@@ -502,4 +615,6 @@ class Monitor:
         fault = None if may_be_camera else evidence.fault
         reason = f"during start-up: {evidence.reason}" if starting else evidence.reason
         first = max(evidence.first, self._begin)
-        return Health(index, HealthState.SUSPECT, fault, first, reason, share, rate, news)
+        return Health(
+            index, HealthState.SUSPECT, fault, first, reason, share, rate, news
+        )

@@ -10,7 +10,14 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Model
-from twinmatch.dynamics.bank import BankConstants, BankMembers, ChangeRows, Reading, step, unborn
+from twinmatch.dynamics.bank import (
+    BankConstants,
+    BankMembers,
+    ChangeRows,
+    Reading,
+    step,
+    unborn,
+)
 
 
 @dataclass(frozen=True)
@@ -78,7 +85,16 @@ class ReadThrough:
         self._newest = reading
         self._noise = variance
         self.samples = self.samples + 1
-        step(self._code, self._fixed, self._member, self._no_traces, self._table, 1, reading, 0)
+        step(
+            self._code,
+            self._fixed,
+            self._member,
+            self._no_traces,
+            self._table,
+            1,
+            reading,
+            0,
+        )
         self.estimate = self._seen_in(self._member, self.samples)
 
     def lasts(self, wide: float, longest: int) -> int:
@@ -93,7 +109,16 @@ class ReadThrough:
             if self._seen_in(members, self.samples + k).band > wide:
                 return k
             reading = reading._replace(y=members.expected[0].copy(), repeated=quiet)
-            step(self._code, self._fixed, members, self._no_traces, self._table, 1, reading, 0)
+            step(
+                self._code,
+                self._fixed,
+                members,
+                self._no_traces,
+                self._table,
+                1,
+                reading,
+                0,
+            )
         return longest
 
     def _seen_in(self, members: BankMembers, age: int) -> MissingReading:
@@ -144,11 +169,15 @@ class Rehearsal:
                 self._count[:] = 0.0
                 self._early = False
             has_samples = self._samples > 0.0
-            self._sums[has_samples] += self._squares[has_samples] / self._samples[has_samples]
+            self._sums[has_samples] += (
+                self._squares[has_samples] / self._samples[has_samples]
+            )
             self._count += has_samples
             self.drop()
         elif reading.seen[output]:
-            self._squares[age] += max((reading.y[output] - self.on.estimate.value) ** 2 - variance, 0.0)
+            self._squares[age] += max(
+                (reading.y[output] - self.on.estimate.value) ** 2 - variance, 0.0
+            )
             self._samples[age] += 1.0
 
     def missed(self, since: int, value: float) -> bool:
@@ -166,5 +195,9 @@ class Rehearsal:
         number = _BANDS.prior + self._count[upto]
         usual = max(variance, self._usual * min(age / self._strays, 1.0))
         squares = max(variance, (_BANDS.prior * usual + self._sums[upto]) / number)
-        wider = 1.0 + (_Z**2 + 1.0) / (4.0 * number) + (5.0 * _Z**4 + 16.0 * _Z**2 + 3.0) / (96.0 * number**2)
+        wider = (
+            1.0
+            + (_Z**2 + 1.0) / (4.0 * number)
+            + (5.0 * _Z**4 + 16.0 * _Z**2 + 3.0) / (96.0 * number**2)
+        )
         return _Z * math.sqrt(wider**2 * squares + noise)

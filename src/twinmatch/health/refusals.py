@@ -51,7 +51,9 @@ def stamps_apart(before: Sample, after: Sample, period: float) -> bool:
     A process that was stopped, or a machine that slept, may continue the index where it was.
     """
     elapsed = (after.stamp - before.stamp) / 1e9
-    return elapsed < 0 or elapsed > GAP * max(1.0, period) * max(after.index - before.index, 1)
+    return elapsed < 0 or elapsed > GAP * max(1.0, period) * max(
+        after.index - before.index, 1
+    )
 
 
 class UsualSteps:
@@ -107,9 +109,11 @@ class Refusals:
         self._period = settings.period
         self._longest = longest
         self._jump = settings.jump * max(1.0, settings.pace)
-        self._since: list[Sample] = []  # the newest accepted sample, and what was refused after it
+        # the newest accepted sample, and what was refused after it
+        self._since: list[Sample] = []
         self._cut = False  # whether the first of these is not usable
-        self._earlier: deque[float] = deque(maxlen=_IMPLAUSIBLE.late)  # inputs of accepted samples
+        # inputs of accepted samples
+        self._earlier: deque[float] = deque(maxlen=_IMPLAUSIBLE.late)
         self.steps = UsualSteps()
 
     @property
@@ -127,8 +131,14 @@ class Refusals:
             self._since = []
             self._cut = False
             self._earlier.clear()
-        if self._possible(sample) and not (self._since and self._is_refused_step(sample)):
-            if len(self._since) == 1 and sample.follows(self._since[0]) and not self._cut:
+        if self._possible(sample) and not (
+            self._since and self._is_refused_step(sample)
+        ):
+            if (
+                len(self._since) == 1
+                and sample.follows(self._since[0])
+                and not self._cut
+            ):
                 self.steps.take(sample.outputs[0] - self._since[0].outputs[0])
             self._since = [sample]
             self._cut = False
@@ -145,7 +155,10 @@ class Refusals:
     def _possible(self, sample: Sample) -> bool:
         """Whether the plant can have these values."""
         commands = (*sample.references, *sample.inputs, *sample.disturbances)
-        within = (low <= y <= high for (low, high), y in zip(self._spans, sample.outputs, strict=False))
+        within = (
+            low <= y <= high
+            for (low, high), y in zip(self._spans, sample.outputs, strict=False)
+        )
         return all(within) and all(map(math.isfinite, commands))
 
     def _is_refused_step(self, sample: Sample) -> bool:
@@ -164,7 +177,9 @@ class Refusals:
         """Whether a reading is on the side of the newest accepted one to which the refused one has moved."""
         before, last = self._since
         return (
-            bool(last.refused) and (sample.output - before.output) * (last.refused[0] - before.output) > 0.0
+            bool(last.refused)
+            and (sample.output - before.output) * (last.refused[0] - before.output)
+            > 0.0
         )
 
     def _leaps(self, sample: Sample) -> bool:
@@ -179,10 +194,18 @@ class Refusals:
             return False
         inputs = [None, *self._earlier]  # the plant may answer later than the twin
         twin, reach = (
-            (self._twin, _IMPLAUSIBLE.reach) if self._twin else (self._defaults, _IMPLAUSIBLE.guessed)
+            (self._twin, _IMPLAUSIBLE.reach)
+            if self._twin
+            else (self._defaults, _IMPLAUSIBLE.guessed)
         )
-        expected = (self._movement(twin, sample.index, earlier_input) for earlier_input in inputs)
-        return all(abs(moved - movement) > max(self._jump, reach * size) for movement, size in expected)
+        expected = (
+            self._movement(twin, sample.index, earlier_input)
+            for earlier_input in inputs
+        )
+        return all(
+            abs(moved - movement) > max(self._jump, reach * size)
+            for movement, size in expected
+        )
 
     def _movement(
         self, twin: Parameters, index: int, constant_input: float | None = None
@@ -214,19 +237,29 @@ class Refusals:
                     size = size + abs(drive) + abs(passive)
         except PlantError:
             return 0.0, math.inf
-        return (y - self._since[0].output, size) if math.isfinite(y) else (0.0, math.inf)
+        return (
+            (y - self._since[0].output, size) if math.isfinite(y) else (0.0, math.inf)
+        )
 
     def _refused(self, sample: Sample) -> Sample:
         """The sample with a stand-in for its reading, or marked as not usable."""
-        cut = self._cut or not self._since or sample.index - self._since[0].index > self._longest
+        cut = (
+            self._cut
+            or not self._since
+            or sample.index - self._since[0].index > self._longest
+        )
         before = self._since[-1] if self._since else None
         read = sample.outputs
         settled = replace(
             sample,
             references=_finite(sample.references, before.references if before else ()),
-            outputs=self._nearest(read) if cut or before is None else self._expected(before, sample.index),
+            outputs=self._nearest(read)
+            if cut or before is None
+            else self._expected(before, sample.index),
             inputs=_finite(sample.inputs, before.inputs if before else ()),
-            disturbances=_finite(sample.disturbances, before.disturbances if before else ()),
+            disturbances=_finite(
+                sample.disturbances, before.disturbances if before else ()
+            ),
             seen=False,
             refused=read,
             usable=not cut,
@@ -247,7 +280,10 @@ class Refusals:
 
     def _nearest(self, outputs: Signals) -> Signals:
         """The possible values nearest to these; in the middle of the span for what is not a number."""
-        spans = [*self._spans, *[(-math.inf, math.inf)] * (len(outputs) - len(self._spans))]
+        spans = [
+            *self._spans,
+            *[(-math.inf, math.inf)] * (len(outputs) - len(self._spans)),
+        ]
         return tuple(
             sum(span) / 2 if math.isnan(y) else min(max(y, span[0]), span[1])
             for y, span in zip(outputs, spans, strict=False)
@@ -257,4 +293,7 @@ class Refusals:
 def _finite(values: Signals, last_finite: Signals) -> Signals:
     """These values; for those that are not finite, the ones before."""
     last_finite = last_finite or (0.0,) * len(values)
-    return tuple(v if math.isfinite(v) else before for v, before in zip(values, last_finite, strict=True))
+    return tuple(
+        v if math.isfinite(v) else before
+        for v, before in zip(values, last_finite, strict=True)
+    )

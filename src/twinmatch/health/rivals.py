@@ -94,7 +94,9 @@ def effects_of_causes(
     """
 
     def output_under(commands: FloatArray) -> FloatArray:
-        return simulate_driven(twin, commands, states=states, period=period, disturbances=rows).output
+        return simulate_driven(
+            twin, commands, states=states, period=period, disturbances=rows
+        ).output
 
     expected = output_under(inputs)
     missed = readings - expected
@@ -149,12 +151,15 @@ def costs_of_causes(effects: Effects, *, slow_error: bool = True) -> dict[Cause,
     best = min(squares_left.values())
     usual = max(effects.noise**2, best / size)
     return {
-        cause: (squares - best) / (2.0 * usual * _TRIED.lasting) for cause, squares in squares_left.items()
+        cause: (squares - best) / (2.0 * usual * _TRIED.lasting)
+        for cause, squares in squares_left.items()
     }
 
 
 def _least_squares_left(
-    missed: FloatArray, patterns: FloatArray, sizes: tuple[float, float] = (-math.inf, math.inf)
+    missed: FloatArray,
+    patterns: FloatArray,
+    sizes: tuple[float, float] = (-math.inf, math.inf),
 ) -> float:
     """The squares that the best multiple, within a range, of the best of some patterns leaves."""
     best = patterns @ missed / np.maximum((patterns**2).sum(axis=1), 1e-300)

@@ -23,4 +23,7 @@ class Roughness:
     @property
     def noise(self) -> float:
         """Standard deviation of a reading, between 0.3 and 1.5 times the declared one."""
-        return min(max(self._mean / _OF_WHITE_NOISE, 0.3 * self._declared), 1.5 * self._declared)
+        return min(
+            max(self._mean / _OF_WHITE_NOISE, 0.3 * self._declared),
+            1.5 * self._declared,
+        )

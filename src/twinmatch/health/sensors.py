@@ -92,7 +92,8 @@ class LearnedSensor:
 
     def restart(self) -> None:
         """Begin again after a gap, keeping what was learned."""
-        self._before = self._earlier = math.nan  # the reading before, and the one before that
+        # the reading before, and the one before that
+        self._before = self._earlier = math.nan
         self._anchor = math.nan  # the reading before an outlier
         self._counted = self._pauses[0]
         self.repeated = False
@@ -138,7 +139,9 @@ class LearnedSensor:
         likelihood = 0.95 * near + 0.05 * far
         junk = JUNK * min(self.step / self._span, 1.0)
         # A reading that says nothing is not where the next one starts, but two are.
-        self._anchor = anchor if likelihood < junk and math.isnan(self._anchor) else math.nan
+        self._anchor = (
+            anchor if likelihood < junk and math.isnan(self._anchor) else math.nan
+        )
         return math.log((1.0 - self.pause) * likelihood + junk)
 
     def learn(self, value: float, counts: bool, gained: float) -> None:
@@ -182,12 +185,14 @@ class LearnedSensor:
             return
         moved = value - before
         self.jump = Jump(self.jump.age + 1, self.jump.size)
-        is_far = abs(moved) > max(_FAR * self._walk, _LEAST * self.noise, _LEAST * self._usual)
+        is_far = abs(moved) > max(
+            _FAR * self._walk, _LEAST * self.noise, _LEAST * self._usual
+        )
         if not is_far:
             return
-        is_taken_back = self.jump.age <= _TAKEN_BACK and abs(moved + self.jump.size) < 0.5 * abs(
-            self.jump.size
-        )
+        is_taken_back = self.jump.age <= _TAKEN_BACK and abs(
+            moved + self.jump.size
+        ) < 0.5 * abs(self.jump.size)
         self.jump = Jump(0, 0.0 if is_taken_back else moved)
 
 

@@ -71,7 +71,8 @@ class FaultSentences:
         if subject is Subject.PARAMETER:
             name = self._model.structure.free[place]
             return name, self._model.declared[name]
-        if subject is Subject.DRIVE or fault is Fault.DRIFT:  # what has no name pushes as a drive does
+        if subject is Subject.DRIVE or fault is Fault.DRIFT:
+            # what has no name pushes as a drive does
             return self._drives[place]
         return self._outputs[place]
 
@@ -126,12 +127,16 @@ class FaultSentences:
         )
         return Evidence(Fault.SENSOR_FROZEN, True, sample.index - repeats.count, reason)
 
-    def late(self, index: int, effect: DriveEffect, lag: float, *, sure: bool) -> Evidence:
+    def late(
+        self, index: int, effect: DriveEffect, lag: float, *, sure: bool
+    ) -> Evidence:
         """Readings that lag behind the plant."""
         reason = f"{self.output} follows the drive with a delay of {lag:g} s: look at {self.sensor}"
         return Evidence(Fault.SENSOR_LATE, sure, index - effect.length, reason)
 
-    def lost(self, index: int, effect: DriveEffect, *, sure: bool, lagged: bool = False) -> Evidence:
+    def lost(
+        self, index: int, effect: DriveEffect, *, sure: bool, lagged: bool = False
+    ) -> Evidence:
         """A drive without effect. Behind a lag, much larger losses look the same for minutes."""
         moved = signed(effect.expected)
         shown = signed(effect.share * effect.expected)
@@ -145,7 +150,9 @@ class FaultSentences:
         )
         return Evidence(Fault.DRIVE_LOST, sure, index - effect.length, reason)
 
-    def weak(self, index: int, effect: DriveEffect, lasts: int, *, sure: bool) -> Evidence:
+    def weak(
+        self, index: int, effect: DriveEffect, lasts: int, *, sure: bool
+    ) -> Evidence:
         """A drive whose effect has been too small for `lasts` samples."""
         reason = (
             f"the drive has had {max(effect.share, 0.0):.0%} of its expected effect on {self.output} for "
@@ -174,7 +181,9 @@ class FaultSentences:
 
     def jumped(self, outputs: list[int]) -> tuple[str, str]:
         """Name of the first of the outputs whose readings have jumped at once, and a sentence."""
-        names = [output.text or name for name, output in (self._outputs[i] for i in outputs)]
+        names = [
+            output.text or name for name, output in (self._outputs[i] for i in outputs)
+        ]
         reason = (
             f"the readings of {' and '.join(names)} jumped at once, and the samples do not tell which of "
             "them is right: look at what the sensors share, such as their supply; none is read through"
@@ -200,7 +209,9 @@ class FaultSentences:
             size = best.shift
             text = f"{signed(best.shift)} {unit}".rstrip()
         if best.cause[1] == EVERY:
-            left = "no effect" if fault is Fault.DRIVE_LOST else f"{text} of their effect"
+            left = (
+                "no effect" if fault is Fault.DRIVE_LOST else f"{text} of their effect"
+            )
             return (
                 name,
                 size,
@@ -208,8 +219,15 @@ class FaultSentences:
             )
         around = self._model.plant.surroundings
         if fault is Fault.DRIFT and len(rivals) == 1:
-            return name, size, f"the plant behaves as if {rivals[0]} had begun: look at {around}"
+            return (
+                name,
+                size,
+                f"the plant behaves as if {rivals[0]} had begun: look at {around}",
+            )
         reason = TRAITS[fault].sentence.format(
-            name=declared.text or name, size=text, surroundings=around, rivals=" or ".join(rivals)
+            name=declared.text or name,
+            size=text,
+            surroundings=around,
+            rivals=" or ".join(rivals),
         )
         return name, size, reason

@@ -38,21 +38,47 @@ class HealthSettings:
     reference: Parameters = field(default_factory=_typical)
     """The twin to judge by until a better one is known, in the structure used for the balance. Only the gain
     of the drive and the time constant matter, within a factor of two. Default: the Peltier rig's."""
-    lost: float = setting(0.4, "Share of the drive's expected effect below which it is lost.", "", 0.01, 0.99)
+    lost: float = setting(
+        0.4,
+        "Share of the drive's expected effect below which it is lost.",
+        "",
+        0.01,
+        0.99,
+    )
     """A healthy plant shows 0.65 and more."""
-    weak: float = setting(0.6, "Share below which it is weak, if that lasts.", "", 0.01, 0.99)
-    jump: float = setting(8.0, "Step of a reading that is physically impossible.", "{y}", 1e-6, 1e6)
+    weak: float = setting(
+        0.6, "Share below which it is weak, if that lasts.", "", 0.01, 0.99
+    )
+    jump: float = setting(
+        8.0, "Step of a reading that is physically impossible.", "{y}", 1e-6, 1e6
+    )
     """Within one sample. Corrections of the rig's healthy camera make 3 °C."""
-    frozen: float = setting(10.0, "Time for which one repeated reading means a frozen sensor.", "s", 1.0, 1e7)
+    frozen: float = setting(
+        10.0,
+        "Time for which one repeated reading means a frozen sensor.",
+        "s",
+        1.0,
+        1e7,
+    )
     """Healthy cameras repeat theirs for 5 s at most."""
     change: float = setting(
-        3.0, "Log-likelihood gain from which a change is reported, beyond its price.", "nats", 0.1, 1e3
+        3.0,
+        "Log-likelihood gain from which a change is reported, beyond its price.",
+        "nats",
+        0.1,
+        1e3,
     )
     """The price is that of saying what has changed and when; exp(−change) of healthy sessions reach both."""
     lead: float = setting(
-        4.0, "Log-likelihood gain over the next best from which it is named.", "nats", 0.1, 1e3
+        4.0,
+        "Log-likelihood gain over the next best from which it is named.",
+        "nats",
+        0.1,
+        1e3,
     )
-    start: float = setting(30.0, "Time after the first sample without alarms.", "s", 0.1, 1e7)
+    start: float = setting(
+        30.0, "Time after the first sample without alarms.", "s", 0.1, 1e7
+    )
     """After a gap too: only suspicions are reported then. Cameras that deliver their first pictures late are
     common and recover without help."""
 
@@ -69,7 +95,9 @@ class HealthSettings:
         model = plant.model(plant.followed) if plant.followed else self.reference.model
         if plant.typical:
             return model.typical()
-        return model.parameters(**{n: v for n, v in self.reference.items() if n in model.declared})
+        return model.parameters(
+            **{n: v for n, v in self.reference.items() if n in model.declared}
+        )
 
     @classmethod
     def of(cls, plant: type[Plant], period: float = 1.0) -> HealthSettings:
@@ -85,7 +113,16 @@ class HealthSettings:
         )
 
     def __post_init__(self) -> None:
-        for name in ("period", "lost", "weak", "jump", "frozen", "change", "lead", "start"):
+        for name in (
+            "period",
+            "lost",
+            "weak",
+            "jump",
+            "frozen",
+            "change",
+            "lead",
+            "start",
+        ):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise HealthError(f"health: {name} is {value}; it must be positive")

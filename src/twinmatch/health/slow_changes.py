@@ -18,7 +18,9 @@ from twinmatch.health.settings import HealthSettings
 from twinmatch.health.trial import TwinOnTrial
 from twinmatch.signals import Sample
 
-_NAMED: Final = frozenset(f for f, traits in TRAITS.items() if not traits.unnamed and not traits.blinds)
+_NAMED: Final = frozenset(
+    f for f, traits in TRAITS.items() if not traits.unnamed and not traits.blinds
+)
 """Slow changes that name a cause."""
 
 
@@ -101,7 +103,13 @@ def _changes_the_same(reported: _Reported, hypothesis: Hypothesis) -> bool:
 class SlowChanges:
     """Turns what `ChangeDetector` detects into evidence for the monitor."""
 
-    def __init__(self, settings: HealthSettings, sentences: FaultSentences, *, steps: bool = False) -> None:
+    def __init__(
+        self,
+        settings: HealthSettings,
+        sentences: FaultSentences,
+        *,
+        steps: bool = False,
+    ) -> None:
         """Begin without samples; `steps`: whether only a sensor that has shifted makes a step."""
         self._settings = settings
         self._sentences = sentences
@@ -117,7 +125,8 @@ class SlowChanges:
         self.evidence: Evidence | None = None
         """The current evidence, if any."""
         self._agreeing = 0  # comparisons in a row that found this kind of change
-        self._unnamed_since: int | None = None  # sample from which on a name has been waited for
+        # sample from which on a name has been waited for
+        self._unnamed_since: int | None = None
 
     @property
     def reported(self) -> Fault | None:
@@ -163,7 +172,9 @@ class SlowChanges:
         shift = self._shift
         if shift is None:
             return ""
-        return self._sentences.doubted(self.offset - shift.before if shift.named else shift.size)
+        return self._sentences.doubted(
+            self.offset - shift.before if shift.named else shift.size
+        )
 
     def restart(self, *, offset: bool = False) -> None:
         """Start over after a gap or a fault; with `offset`, the reading may be off from now on.
@@ -188,23 +199,36 @@ class SlowChanges:
     def forget(self) -> None:
         """Start over with an unknown plant."""
         self._trial = None
-        self._detector = ChangeDetector(self._settings.followed, self._settings.period, steps=self._steps)
+        self._detector = ChangeDetector(
+            self._settings.followed, self._settings.period, steps=self._steps
+        )
         self._reported = self._shift = None
         self._clear_suspicion()
 
     def mark_reported(self, index: int) -> None:
         """Note that the evidence was reported; the changed plant is the baseline from now on."""
         change = self._change
-        assert change is not None and self.evidence is not None  # noqa: S101, PT018 — only evidence are reported
+        assert change is not None and self.evidence is not None  # noqa: PT018, S101
         self._reported = _Reported(
-            self.evidence.fault, change.hypothesis, change.before, index, self._detector.before
+            self.evidence.fault,
+            change.hypothesis,
+            change.before,
+            index,
+            self._detector.before,
         )
         self._over = False
-        if self.evidence.fault is Fault.SENSOR_DRIFT and not (self._shift and self._shift.named):
-            self._shift = _Shift(change.shift, index, change.before, named=True, open=False)
+        if self.evidence.fault is Fault.SENSOR_DRIFT and not (
+            self._shift and self._shift.named
+        ):
+            self._shift = _Shift(
+                change.shift, index, change.before, named=True, open=False
+            )
         if self.evidence.fault in _NAMED:  # what has no name is an error of the twin
             self._detector.track_record.forget_newest()
-        if self.evidence.fault is not Fault.DRIFT or change.hypothesis.fault is Fault.DRIFT:
+        if (
+            self.evidence.fault is not Fault.DRIFT
+            or change.hypothesis.fault is Fault.DRIFT
+        ):
             self._adopt(lasting=self.evidence.fault is Fault.DRIFT)
         self._expect_back()
 
@@ -213,7 +237,9 @@ class SlowChanges:
         if self._reported is None:
             return True
         is_accepted = (index - self._reported.at) * self._settings.pace >= _ENDS.accept
-        over = self._over or (is_accepted and self._reported.fault is not Fault.SENSOR_DRIFT)
+        over = self._over or (
+            is_accepted and self._reported.fault is not Fault.SENSOR_DRIFT
+        )
         if over:
             self._reported = None
         return over
@@ -221,9 +247,15 @@ class SlowChanges:
     def push(self, sample: Sample) -> None:
         """Take a sample."""
         shift = self._shift
-        if shift and shift.named and abs(self.offset - shift.before) <= _ENDS.remainder * abs(shift.size):
+        if (
+            shift
+            and shift.named
+            and abs(self.offset - shift.before) <= _ENDS.remainder * abs(shift.size)
+        ):
             self._end_shift()
-        self._detector.changed = self.reported is not None and TRAITS[self.reported].another_plant
+        self._detector.changed = (
+            self.reported is not None and TRAITS[self.reported].another_plant
+        )
         self._begin_trial()
         change = self._detector.push(sample)
         if self._trial is not None:
@@ -235,7 +267,11 @@ class SlowChanges:
                 self._clear_suspicion()
             return
         fault = change.hypothesis.fault
-        self._agreeing = self._agreeing + 1 if self._change and self._change.hypothesis.fault is fault else 1
+        self._agreeing = (
+            self._agreeing + 1
+            if self._change and self._change.hypothesis.fault is fault
+            else 1
+        )
         self._change = change
         self._doubt_readings(change, sample.index)
         if not self._needs_no_report(change, sample.index):
@@ -243,18 +279,29 @@ class SlowChanges:
 
     def _begin_trial(self) -> None:
         """Try the proposed twin if its structure is another, or the followed one has not earned a name."""
-        idle = self._trial is None and self._reported is None and self._detector.tracked.between_blocks
+        idle = (
+            self._trial is None
+            and self._reported is None
+            and self._detector.tracked.between_blocks
+        )
         if self._proposed is None or not idle:
             return
         settings = replace(self._settings, reference=self._proposed)
         self._proposed = None
-        if settings.followed.model is not self._settings.followed.model or not self.earned:
+        if (
+            settings.followed.model is not self._settings.followed.model
+            or not self.earned
+        ):
             self._trial = TwinOnTrial(settings, self._detector, steps=self._steps)
 
     def _try(self, trial: TwinOnTrial, sample: Sample) -> None:
         """Have the twin on trial take a sample, too; follow it if it wins and nothing seems to be wrong."""
         trial.push(sample)
-        faulty = self._reported is not None or self._shift is not None or (self.suspected and self.earned)
+        faulty = (
+            self._reported is not None
+            or self._shift is not None
+            or (self.suspected and self.earned)
+        )
         if trial.won and not faulty:
             self._settings = trial.settings
             self._detector = trial.detector
@@ -270,7 +317,9 @@ class SlowChanges:
         behind = change.behind(Fault.SENSOR_DRIFT)
         least = _ENDS.doubted * settings.followed.model.plant.output.noise
         near = behind <= _REPORTS.clearly * settings.lead and abs(change.off) >= least
-        is_evident = change.gain - behind >= settings.change and change.begun and self.earned
+        is_evident = (
+            change.gain - behind >= settings.change and change.begun and self.earned
+        )
         sure = is_evident and self._separable(change)
         if shift is None:
             self._likely = self._likely + 1 if near and sure else 0
@@ -325,7 +374,10 @@ class SlowChanges:
     def _ends_with_suspicion(self) -> bool:
         """Whether the reported change is over once nothing is suspected, as it has no number that could
         return."""
-        return self._reported is not None and self._reported.fault in (Fault.DRIFT, Fault.DISTURBANCE)
+        return self._reported is not None and self._reported.fault in (
+            Fault.DRIFT,
+            Fault.DISTURBANCE,
+        )
 
     def _needs_no_report(self, change: DetectedChange, index: int) -> bool:
         """Whether the change needs no report: always there, or the end or growth of a reported one."""
@@ -347,7 +399,8 @@ class SlowChanges:
         usual = reported.before if reported is not None and is_same else 0.0
         remaining = change.value - usual
         back = abs(remaining) <= max(
-            _ENDS.remainder * max(abs(change.shift), abs(change.before - usual)), h.least
+            _ENDS.remainder * max(abs(change.shift), abs(change.before - usual)),
+            h.least,
         )
         if not back and (not is_same or change.lead < self._settings.lead):
             return False
@@ -362,14 +415,25 @@ class SlowChanges:
     def _is_return(self, change: DetectedChange) -> bool:
         """Whether readings that were only doubted are back where they were."""
         shift = self._shift
-        if shift is None or shift.named or shift.open or change.hypothesis.fault is not Fault.SENSOR_DRIFT:
+        if (
+            shift is None
+            or shift.named
+            or shift.open
+            or change.hypothesis.fault is not Fault.SENSOR_DRIFT
+        ):
             return False
-        undone = -change.shift / shift.size  # more than all of it, if it has grown since
-        return 1.0 - _ENDS.remainder <= undone <= _ENDS.grown and change.lead >= self._settings.lead
+        # more than all of it, if it has grown since
+        undone = -change.shift / shift.size
+        return (
+            1.0 - _ENDS.remainder <= undone <= _ENDS.grown
+            and change.lead >= self._settings.lead
+        )
 
     def _absorbed(self, change: DetectedChange) -> bool:
         """Whether what has passed needs no report: too small, or while a reported change is on."""
-        if not self._surely_passed(change) or (self._reported is None and self._passage() is not None):
+        if not self._surely_passed(change) or (
+            self._reported is None and self._passage() is not None
+        ):
             return False
         self._adopt(lasting=False)
         return True
@@ -377,17 +441,25 @@ class SlowChanges:
     def _surely_passed(self, change: DetectedChange) -> bool:
         """Whether something that has passed explains far more than anything that would have lasted."""
         clearly = change.gain >= self._enough_unnamed
-        return clearly and change.lead >= self._settings.lead and self._agreeing >= _REPORTS.agreeing
+        return (
+            clearly
+            and change.lead >= self._settings.lead
+            and self._agreeing >= _REPORTS.agreeing
+        )
 
     @property
     def _enough_unnamed(self) -> float:
         """Gain required of what has no cause: a wrong twin, which misses such movements, is its rival."""
-        return _REPORTS.unnamed * self._settings.change * self._detector.track_record.missed
+        return (
+            _REPORTS.unnamed
+            * self._settings.change
+            * self._detector.track_record.missed
+        )
 
     def _passage(self) -> tuple[float, float] | None:
         """How far something that has passed moved the output, and how long it lasted, s; None if that is too
         little to be reported."""
-        assert self._change is not None  # noqa: S101 — only what was detected is described
+        assert self._change is not None  # noqa: S101
         pushes = self._detector.pushes()
         block = self._detector.block
         strong = np.abs(pushes) >= self._change.hypothesis.least * block
@@ -404,23 +476,34 @@ class SlowChanges:
         material = abs(change.shift) >= h.least
         named = self._has_name(change)
         if named and h.fault is Fault.DRIVE_LOST:
-            return Evidence(Fault.DRIVE_LOST, enough, change.first, self._describe(change))
+            return Evidence(
+                Fault.DRIVE_LOST, enough, change.first, self._describe(change)
+            )
         if named and h.fault is Fault.DISTURBANCE:
             has_passed = self._surely_passed(change) and enough
             reason = self._sentences.passed(*self._passage() or (0.0, 0.0))
-            return Evidence(Fault.DISTURBANCE, has_passed, change.first, reason, slow=True)
+            return Evidence(
+                Fault.DISTURBANCE, has_passed, change.first, reason, slow=True
+            )
         if named:
             sentences = self._sentences
-            places = {Fault.DRIVE_WEAK: "drive, wires and supply", Fault.SENSOR_DRIFT: sentences.sensor}
+            places = {
+                Fault.DRIVE_WEAK: "drive, wires and supply",
+                Fault.SENSOR_DRIFT: sentences.sensor,
+            }
             reason = f"{self._describe(change)}: look at {places.get(h.fault, sentences.surroundings)}"
-            return Evidence(h.fault, enough and material, change.first, reason, slow=True)
+            return Evidence(
+                h.fault, enough and material, change.first, reason, slow=True
+            )
         if enough and self._unnamed_since is None:
             self._unnamed_since = index
         waited = self._unnamed_since is not None and (
             (index - self._unnamed_since) * settings.pace >= _REPORTS.name_wait
         )
         sure = enough and material and waited and change.gain >= self._enough_unnamed
-        return Evidence(Fault.DRIFT, sure, change.first, self._ambiguous(change), slow=True)
+        return Evidence(
+            Fault.DRIFT, sure, change.first, self._ambiguous(change), slow=True
+        )
 
     def _is_evident(self, change: DetectedChange) -> bool:
         """Whether there is enough evidence that something has changed, whatever it is."""
@@ -437,7 +520,9 @@ class SlowChanges:
             return False  # it stands for anything that acts like it
         if h.fault is Fault.DRIVE_WEAK:
             # A lost drive is found by `Effect`, and one that does more has no fault name.
-            return change.shift < 0.0 and self._settings.lost - 1.0 <= change.value < 0.0
+            return (
+                change.shift < 0.0 and self._settings.lost - 1.0 <= change.value < 0.0
+            )
         return h.fault is not Fault.SENSOR_DRIFT or self._separable(change)
 
     def _separable(self, change: DetectedChange) -> bool:
@@ -448,9 +533,17 @@ class SlowChanges:
     def _ambiguous(self, change: DetectedChange) -> str:
         """Describe a change that the samples cannot attribute to one cause."""
         gains = zip(change.rivals, change.gains, strict=True)
-        near = [TRAITS[fault].cause for fault, gain in gains if gain > change.gain - self._settings.lead]
+        near = [
+            TRAITS[fault].cause
+            for fault, gain in gains
+            if gain > change.gain - self._settings.lead
+        ]
         names = list(dict.fromkeys([TRAITS[change.hypothesis.fault].cause, *near]))
-        listed = " or ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} or {names[-1]}"
+        listed = (
+            " or ".join(names)
+            if len(names) < 3
+            else f"{', '.join(names[:-1])} or {names[-1]}"
+        )
         return (
             f"the plant no longer behaves as before; {listed} may have changed, "
             f"which these readings cannot distinguish: look at {self._sentences.surroundings}"
@@ -462,14 +555,20 @@ class SlowChanges:
         output = self._sentences.output
         unit = self._sentences.unit
         if h.fault is Fault.DRIVE_LOST:
-            return f"the drive has no effect on {output}: look at drive, wires and supply"
+            return (
+                f"the drive has no effect on {output}: look at drive, wires and supply"
+            )
         if h.fault is Fault.DRIVE_WEAK:
             return f"the drive has {1.0 + change.value:.0%} of its expected effect on {output}"
         if h.fault is Fault.SENSOR_DRIFT:
-            return f"the readings of {output} have shifted by {signed(change.shift)}{unit}"
+            return (
+                f"the readings of {output} have shifted by {signed(change.shift)}{unit}"
+            )
         declared = self._settings.followed.model.declared[h.parameter]
         if h.fault is Fault.LOSSES_CHANGED:
             factor = math.exp(change.shift)
             return f"the losses are {factor:.2g} times those before ({declared.text})"
         of_parameter = f" {declared.unit}".rstrip()
-        return f"the {declared.text} has changed by {signed(change.shift)}{of_parameter}"
+        return (
+            f"the {declared.text} has changed by {signed(change.shift)}{of_parameter}"
+        )

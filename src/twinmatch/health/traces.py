@@ -130,22 +130,35 @@ class Effect(DriveEffect):
 
         They are counted from the moment at which they were least.
         """
-        self._sums: deque[tuple[float, float]] = deque([(0.0, 0.0)], maxlen=self._spans[-1] + 1)
+        self._sums: deque[tuple[float, float]] = deque(
+            [(0.0, 0.0)], maxlen=self._spans[-1] + 1
+        )
         self._last = 0.0
 
     def push(self, movement: Movement, roughness: float, *, earned: bool) -> None:
         """Take the movement of one period, the roughness (per second) of the balance that it comes from, and
         whether that balance has predicted the plant."""
-        least = max(_COMPARED.rate * self._noise, _COMPARED.roughness * roughness) * self._period
+        least = (
+            max(_COMPARED.rate * self._noise, _COMPARED.roughness * roughness)
+            * self._period
+        )
         unexplained = movement.unexplained
         if self._accused is not None:
             usual = max(roughness, _COMPARED.rough_rate * self._noise) * self._period
             self._weigh(movement, usual, self._accused)
-        continues = abs(self._last) > _COMPARED.like * self._noise and unexplained * self._last > 0
+        continues = (
+            abs(self._last) > _COMPARED.like * self._noise
+            and unexplained * self._last > 0
+        )
         isolated = abs(unexplained) > _COMPARED.step * self._noise and not continues
         self._last = unexplained
         drive, unexplained_sum = self._sums[-1]
-        self._sums.append((drive + movement.drive, unexplained_sum + (0.0 if isolated else unexplained)))
+        self._sums.append(
+            (
+                drive + movement.drive,
+                unexplained_sum + (0.0 if isolated else unexplained),
+            )
+        )
         self.share = math.nan
         newest = self._sums[-1]
         moves = len(self._sums) - 1
@@ -157,7 +170,11 @@ class Effect(DriveEffect):
             if abs(expected) < _COMPARED.least * self._noise + least * length:
                 continue
             share = 1.0 + (newest[1] - before[1]) / expected
-            counts = earned or share >= FOLLOWS[0] or (length == self._spans[-1] and share <= NOTHING)
+            counts = (
+                earned
+                or share >= FOLLOWS[0]
+                or (length == self._spans[-1] and share <= NOTHING)
+            )
             if counts and not share >= self.share:
                 self.share = share
                 self.length = length
@@ -171,7 +188,10 @@ class Effect(DriveEffect):
         unexplained = min(max(movement.unexplained, -most), most)
         missing = unexplained + (1.0 - share) * drive
         ratio = (
-            0.5 * (missing**2 - unexplained**2) / usual**2 * min(self._period / _COMPARED.errors_last, 1.0)
+            0.5
+            * (missing**2 - unexplained**2)
+            / usual**2
+            * min(self._period / _COMPARED.errors_last, 1.0)
         )
         self.returned = max(self.returned + ratio, 0.0)
 
@@ -179,7 +199,9 @@ class Effect(DriveEffect):
 class Repeats:
     """Whether the sensor is frozen, judged from repeated readings."""
 
-    def __init__(self, period: float, longest: float, noise: float, step: float = 0.0) -> None:
+    def __init__(
+        self, period: float, longest: float, noise: float, step: float = 0.0
+    ) -> None:
         """`longest`: time for which a reading may be repeated, s; `noise` and `step`: those of a reading.
 
         Where steps are coarser than the noise, a healthy sensor repeats itself whenever the plant is at rest.
@@ -189,11 +211,13 @@ class Repeats:
         self._stated = step
         self._longest = 0  # most repeats of one reading so far
         self._most = max(3, round(longest / period))
-        self._often = self._lately = 0.1  # share of readings that repeat the one before: of 300, of 30
+        # share of readings that repeat the one before: of 300, of 30
+        self._often = self._lately = 0.1
         self._change = 0.0  # mean change from reading to reading
         self._seen = 10  # readings; the first shares count as 10
         self._moves = 0  # changes
-        self._last = self._jitter = 0.0  # the change before, and by how much changes differ on average
+        # the change before, and by how much changes differ on average
+        self._last = self._jitter = 0.0
         self._step = math.inf  # smallest change so far: that of a reading's last digit
         self.count = 0
         """How many times the newest reading has been repeated."""
@@ -265,10 +289,14 @@ class Repeats:
     @property
     def _lacks_noise(self) -> bool:
         """Whether the reading has shown noise, and now repeats itself more often than it ever has."""
-        if self._moves < _REPEATS.least_moves or self._change < _REPEATS.least_noise * self._noise:
+        if (
+            self._moves < _REPEATS.least_moves
+            or self._change < _REPEATS.least_noise * self._noise
+        ):
             return False
         if self._coarse or self._jitter < _REPEATS.steps * self._step:
-            return False  # its noise is smaller than its last digit: it repeats whenever the plant is at rest
+            # its noise is smaller than its last digit: it repeats whenever the plant is at rest
+            return False
         return self.count >= _REPEATS.longer * self._longest
 
 
@@ -309,6 +337,8 @@ class Lag:
         left_by_dead_drive = float(np.sum(movements**2))
         if not _LAG.least / self._period <= best < most:
             return None
-        if squares_left[best] > _LAG.far_better * min(squares_left[0], left_by_dead_drive):
+        if squares_left[best] > _LAG.far_better * min(
+            squares_left[0], left_by_dead_drive
+        ):
             return None
         return best * self._period

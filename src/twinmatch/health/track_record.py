@@ -92,7 +92,9 @@ class TrackRecord:
         """A fault began: what was forecast lately does not count."""
         self._waiting.clear()
 
-    def push(self, blocks: Sequence[Block], count: int, level: int, *, newcomer: bool) -> None:
+    def push(
+        self, blocks: Sequence[Block], count: int, level: int, *, newcomer: bool
+    ) -> None:
         """Forecast the newest blocks from the belief before them, at a level; a newcomer's forecasts count at
         once. `count`: blocks so far."""
         if len(blocks) <= HORIZONS[-1] or count % _SCORING.every:
@@ -100,15 +102,21 @@ class TrackRecord:
         outcome = self._outcome(list(blocks)[-HORIZONS[-1] - 1 :], level)
         if outcome is not None:
             self._waiting.append(outcome)
-        while self._waiting and (newcomer or len(self._waiting) > _SCORING.counted_after):
+        while self._waiting and (
+            newcomer or len(self._waiting) > _SCORING.counted_after
+        ):
             self._count(self._waiting.popleft())
 
     def _count(self, outcome: _Outcome) -> None:
         self._relative = _KEPT * self._relative + outcome.relative
         self._squares = _KEPT * self._squares + outcome.relative**2
         self._weight = _KEPT * self._weight + 1.0
-        squares = zip(self._records, outcome.error.tolist(), outcome.moved.tolist(), strict=True)
-        self._records = [record.after(error, moved, _KEPT) for record, error, moved in squares]
+        squares = zip(
+            self._records, outcome.error.tolist(), outcome.moved.tolist(), strict=True
+        )
+        self._records = [
+            record.after(error, moved, _KEPT) for record, error, moved in squares
+        ]
 
     def _outcome(self, blocks: Sequence[Block], level: int) -> _Outcome | None:
         """The forecasts from before the first block; None if a reading to compare them with was lost."""
@@ -120,8 +128,12 @@ class TrackRecord:
         begun = 0
         outcomes = []
         for horizon, after in zip(HORIZONS, came, strict=True):
-            belief, _ = self._tracker.run(belief, joined(blocks[begun:horizon]).unseen, level)
-            expected, variance = self._tracker.expected(belief, after.disturbances[0], after.input[:1])
+            belief, _ = self._tracker.run(
+                belief, joined(blocks[begun:horizon]).unseen, level
+            )
+            expected, variance = self._tracker.expected(
+                belief, after.disturbances[0], after.input[:1]
+            )
             error = after.output[2] - expected
             begun = horizon
             relative = min(error**2 / (variance + after.noise[0] ** 2), _SCORING.most)

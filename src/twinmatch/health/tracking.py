@@ -68,7 +68,9 @@ class TrackedBlocks:
 
     def __init__(self, parameters: Parameters, period: float) -> None:
         """Begin with these parameters; `period` is the sample time, s."""
-        self.size = max(4, round(_BLOCK * slow_scale(parameters.model.plant, period) / period))
+        self.size = max(
+            4, round(_BLOCK * slow_scale(parameters.model.plant, period) / period)
+        )
         """Samples of a block."""
         self.tracker = Tracker(parameters, period, LEVELS)
         self.blocks: deque[Block] = deque(maxlen=REACH)
@@ -88,7 +90,8 @@ class TrackedBlocks:
         self._roughness = Roughness(parameters.model.plant.output.noise)
         self._costs = np.zeros(len(LEVELS))  # mean code length of a block at each level
         self._counted = 0  # blocks that these are means of
-        self._behind = [0.0] * len(LEVELS)  # nats by which each level is behind the next
+        # nats by which each level is behind the next
+        self._behind = [0.0] * len(LEVELS)
         self._beliefs: tuple[Belief, ...] = ()
         self._gap = False  # whether samples are missing before the next block
         self._opening: tuple[int, float] | None = None
@@ -128,7 +131,9 @@ class TrackedBlocks:
 
         With beliefs `before`, one for each level, the plant is again what it was then.
         """
-        returned = tuple(self.tracker.returned(belief, belief_before) for belief_before in before)
+        returned = tuple(
+            self.tracker.returned(belief, belief_before) for belief_before in before
+        )
         self._beliefs = returned or (belief,) * len(LEVELS)
         self.blocks.clear()
 
@@ -143,7 +148,9 @@ class TrackedBlocks:
         self._last = [float(y[-2]), float(y[-1])]
         u = np.array([s.input for s in self._samples])
         model = self.tracker.parameters.model
-        rows = np.array([model.disturbance_row(s.disturbances or None) for s in self._samples])
+        rows = np.array(
+            [model.disturbance_row(s.disturbances or None) for s in self._samples]
+        )
         noise = np.where(is_read, self._roughness.noise, math.inf)
         return Readings(y, u, rows.reshape(u.size, -1), noise)
 
@@ -163,10 +170,14 @@ class TrackedBlocks:
         if not self._beliefs:
             levels = range(len(LEVELS))
             self._beliefs = tuple(
-                self.tracker.begin(first.output, first.input, row, level) for level in levels
+                self.tracker.begin(first.output, first.input, row, level)
+                for level in levels
             )
         elif self._gap:
-            beliefs = (self.tracker.again(b, first.output, first.input, row) for b in self._beliefs)
+            beliefs = (
+                self.tracker.again(b, first.output, first.input, row)
+                for b in self._beliefs
+            )
             number, spread = self._opening or (0, 0.0)
             self._beliefs = tuple(b.opened(number, 0.0, spread) for b in beliefs)
             self._opening = None
@@ -176,7 +187,9 @@ class TrackedBlocks:
         careful = len(LEVELS) - 1 - self.known // _CHOICE.careful
         for level, belief in enumerate(self._beliefs):
             watched = traces if level == self.level else None
-            following, cost = self.tracker.run(belief, stretch, max(level, careful), traces=watched)
+            following, cost = self.tracker.run(
+                belief, stretch, max(level, careful), traces=watched
+            )
             after.append(following)
             costs.append(cost)
         self._recover(after, costs)
@@ -210,7 +223,9 @@ class TrackedBlocks:
         if len(self.blocks) <= _CHOICE.wait:
             return False
         self._counted = min(self._counted + 1, _CHOICE.forget)
-        self._costs += (np.array(self.blocks[-_CHOICE.wait - 1].costs) - self._costs) / self._counted
+        self._costs += (
+            np.array(self.blocks[-_CHOICE.wait - 1].costs) - self._costs
+        ) / self._counted
         total = self._costs * self._counted
         best = int(np.flatnonzero(total <= total.min() + _CHOICE.clearly)[-1])
         before = self.level
@@ -223,7 +238,9 @@ class TrackedBlocks:
 
 def joined(blocks: Sequence[Block]) -> Readings:
     """Concatenate blocks."""
-    y = np.concatenate([blocks[0].stretch.output[:2], *(b.stretch.output[2:] for b in blocks)])
+    y = np.concatenate(
+        [blocks[0].stretch.output[:2], *(b.stretch.output[2:] for b in blocks)]
+    )
     return Readings(
         y,
         np.concatenate([b.stretch.input for b in blocks]),

@@ -22,7 +22,9 @@ class TwinOnTrial:
     at once.
     """
 
-    def __init__(self, settings: HealthSettings, against: ChangeDetector, *, steps: bool) -> None:
+    def __init__(
+        self, settings: HealthSettings, against: ChangeDetector, *, steps: bool
+    ) -> None:
         """Begin with the settings' twin, where a block begins; `steps` as in `hypotheses`."""
         self.settings = settings
         self.detector = ChangeDetector(settings.followed, settings.period, steps=steps)
@@ -42,7 +44,11 @@ class TwinOnTrial:
     @property
     def won(self) -> bool:
         """Whether it has proven to be far better, and is known well enough to say what it suspects."""
-        return self._lead > _FAR and self.detector.compares and self.detector.track_record.earned
+        return (
+            self._lead > _FAR
+            and self.detector.compares
+            and self.detector.track_record.earned
+        )
 
     @property
     def lost(self) -> bool:

@@ -65,7 +65,9 @@ def _next_names(lines: Iterator[Line]) -> Line | None:
     return next((line for line in lines if line.text.lstrip()[:1] != "#"), None)
 
 
-def _rearranged(names: Sequence[str], titles: Sequence[str], rows: Iterator[Line]) -> Iterator[Line]:
+def _rearranged(
+    names: Sequence[str], titles: Sequence[str], rows: Iterator[Line]
+) -> Iterator[Line]:
     """The rows of a table with these names, for a table with these titles."""
     if list(names) == list(titles):
         yield from rows

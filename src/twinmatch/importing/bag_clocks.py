@@ -38,11 +38,16 @@ _SHORTEST: Final = 1e-9
 """Shortest time of recording by which a rate is divided, s."""
 
 
-def times_by_one_clock(recorded: Mapping[str, Sequence[Series]]) -> tuple[Times, list[str]]:
+def times_by_one_clock(
+    recorded: Mapping[str, Sequence[Series]],
+) -> tuple[Times, list[str]]:
     """The times of all messages by one clock, and a note if the headers have another than the bag."""
     all_series = list(chain.from_iterable(recorded.values()))
     with_stamps = [series for series in all_series if series.has_stamp.any()]
-    largest_offset = max((_usual_size(series.logged - series.stamped) for series in with_stamps), default=0.0)
+    largest_offset = max(
+        (_usual_size(series.logged - series.stamped) for series in with_stamps),
+        default=0.0,
+    )
     if largest_offset <= _ALIKE.offset:
         return _times(recorded, lambda series: _stamps_or(series.logged, series)), []
     clock = _HeaderClock.of(with_stamps, _RecordingTime.of(all_series))
@@ -53,14 +58,21 @@ def times_by_one_clock(recorded: Mapping[str, Sequence[Series]]) -> tuple[Times,
         )
         return _times(recorded, lambda series: series.logged), [own_clocks_note]
     times = _times(recorded, lambda series: _stamps_or(clock.at(series), series))
-    pace = "" if abs(clock.rate - 1) <= _ALIKE.rate else f", {clock.rate:.3g} times as fast"
+    pace = (
+        ""
+        if abs(clock.rate - 1) <= _ALIKE.rate
+        else f", {clock.rate:.3g} times as fast"
+    )
     shared_clock_note = (
-        f"The headers share a clock of their own, which counts: {largest_offset:.3g} s from the bag's{pace}."
+        "The headers share a clock of their own, which counts: "
+        f"{largest_offset:.3g} s from the bag's{pace}."
     )
     return times, [shared_clock_note]
 
 
-def _times(recorded: Mapping[str, Sequence[Series]], times_of: Callable[[Series], FloatArray]) -> Times:
+def _times(
+    recorded: Mapping[str, Sequence[Series]], times_of: Callable[[Series], FloatArray]
+) -> Times:
     """The times that this function gives for every channel."""
     times = {}
     for name, channels in recorded.items():
@@ -108,10 +120,14 @@ class _HeaderClock(NamedTuple):
     """s, shape (M,)."""
 
     @classmethod
-    def of(cls, with_stamps: Sequence[Series], recording: _RecordingTime) -> _HeaderClock:
+    def of(
+        cls, with_stamps: Sequence[Series], recording: _RecordingTime
+    ) -> _HeaderClock:
         guide = max(with_stamps, key=lambda series: series.has_stamp.sum())
         stamped = guide.has_stamp
-        return cls(recording, recording.at(guide.place)[stamped], guide.stamped[stamped])
+        return cls(
+            recording, recording.at(guide.place)[stamped], guide.stamped[stamped]
+        )
 
     @property
     def moves(self) -> bool:
@@ -129,5 +145,7 @@ class _HeaderClock(NamedTuple):
 
     def is_shared_by(self, with_stamps: Sequence[Series]) -> bool:
         """Whether the header stamps of all these channels are of this clock."""
-        offsets = [_usual_size(series.stamped - self.at(series)) for series in with_stamps]
+        offsets = [
+            _usual_size(series.stamped - self.at(series)) for series in with_stamps
+        ]
         return max(offsets) <= _ALIKE.offset

@@ -52,13 +52,13 @@ class SqliteScan(Scan):
                 topics = self._topics_in(data)
                 for topic_id, stamp, content in data.execute(_ROWS):
                     if topic_id in topics:
-                        yield Message(topics[topic_id], stamp or 0, stamp or 0, content or b"")
+                        yield Message(
+                            topics[topic_id], stamp or 0, stamp or 0, content or b""
+                        )
                     else:
                         without_topic += 1
         except (sqlite3.Error, OSError, LookupError) as error:
-            problem = (
-                f"cannot be read as a bag, or is damaged ({error}); try sqlite3 {self.path.name} .recover"
-            )
+            problem = f"cannot be read as a bag, or is damaged ({error}); try sqlite3 {self.path.name} .recover"
             raise RecordingError(f"{self.path}: {problem}") from error
         if without_topic:
             self.fault = f"{without_topic} messages belong to no topic and are left out"
@@ -69,12 +69,23 @@ class SqliteScan(Scan):
         Raises:
             RecordingError: it has no tables as a bag has them.
         """
-        tables = {name for (name,) in data.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        tables = {
+            name
+            for (name,) in data.execute(
+                "SELECT name FROM sqlite_master WHERE type = 'table'"
+            )
+        }
         if not {"messages", "topics"} <= tables:
-            raise RecordingError(f"{self.path}: has no tables messages and topics, as a bag has")
+            raise RecordingError(
+                f"{self.path}: has no tables messages and topics, as a bag has"
+            )
         data.row_factory = sqlite3.Row
         has_definitions = "message_definitions" in tables  # since ROS 2 Iron
-        rows = data.execute("SELECT * FROM message_definitions ORDER BY id") if has_definitions else []
+        rows = (
+            data.execute("SELECT * FROM message_definitions ORDER BY id")
+            if has_definitions
+            else []
+        )
         definitions = {row["topic_type"]: dict(row) for row in rows}
         topics = {}
         for row in map(dict, data.execute("SELECT * FROM topics ORDER BY id")):
@@ -131,7 +142,7 @@ class Ros1Scan(Scan):
         Raises:
             RecordingError: the file cannot be opened, is damaged, or is not a bag.
         """
-        from rosbags.rosbag1 import Reader  # noqa: PLC0415 — an extra
+        from rosbags.rosbag1 import Reader  # noqa: PLC0415
         from rosbags.rosbag1.reader import IndexData  # noqa: PLC0415
 
         class ByPosition(IndexData):
@@ -147,12 +158,17 @@ class Ros1Scan(Scan):
             with Reader(self.path) as reader:
                 topics = {
                     connection.id: Topic(
-                        connection.topic, connection.msgtype, connection.msgdef.data, "", encoding="ros1"
+                        connection.topic,
+                        connection.msgtype,
+                        connection.msgdef.data,
+                        "",
+                        encoding="ros1",
                     )
                     for connection in reader.connections
                 }
                 reader.indexes = {
-                    number: sorted(map(ByPosition._make, index)) for number, index in reader.indexes.items()
+                    number: sorted(map(ByPosition._make, index))
+                    for number, index in reader.indexes.items()
                 }
                 self.topics = list(topics.values())
                 for connection, stamp, content in reader.messages():
@@ -162,7 +178,11 @@ class Ros1Scan(Scan):
             raise RecordingError(msg) from error
 
 
-SCANS: Final[Mapping[str, type[Scan]]] = {".mcap": Scan, ".db3": SqliteScan, ".bag": Ros1Scan}
+SCANS: Final[Mapping[str, type[Scan]]] = {
+    ".mcap": Scan,
+    ".db3": SqliteScan,
+    ".bag": Ros1Scan,
+}
 """By the suffix of a file."""
 
 
@@ -180,7 +200,9 @@ def scans_of(files: Sequence[Path]) -> Iterator[Callable[[], list[Scan]]]:
     """
     with TemporaryDirectory(prefix="twinmatch-bag-") as folder:
         plain_files = [_unpacked(file, Path(folder)) for file in files]
-        yield lambda: [SCANS[suffix_of(plain_file)](plain_file) for plain_file in plain_files]
+        yield lambda: [
+            SCANS[suffix_of(plain_file)](plain_file) for plain_file in plain_files
+        ]
 
 
 def _unpacked(file: Path, folder: Path) -> Path:
@@ -218,36 +240,55 @@ def definition_of(topic: Topic) -> Definition:
 def _definition(topic: Topic) -> Definition:
     """As `definition_of`, for a topic without what the definition does not depend on."""
     if topic.encoding not in ("cdr", "ros1"):
-        raise RecordingError(f"messages in {topic.encoding or 'an unnamed encoding'} are not read, only CDR")
+        raise RecordingError(
+            f"messages in {topic.encoding or 'an unnamed encoding'} are not read, only CDR"
+        )
     problem = f"the bag does not contain the definition of {topic.type}; source the workspace that has it"
     for store_of in (_in_file, _standard, _installed):
         try:
             store = store_of(topic)
             parsed = store.get_msgdef(topic.type)
             wanted_hash = topic.type_hash if store_of is not _in_file else ""
-            has_wanted_hash = not wanted_hash or store.hash_rihs01(topic.type) == wanted_hash
+            has_wanted_hash = (
+                not wanted_hash or store.hash_rihs01(topic.type) == wanted_hash
+            )
         except (KeyError, SessionError):
             continue  # this source lacks the type, or one that is nested in it
-        except Exception as error:  # the library raises many kinds for what it cannot read
-            problem = f"the definition of {topic.type} cannot be read ({first_line(error)})"
+        except Exception as error:
+            # the library raises many kinds for what it cannot read
+            problem = (
+                f"the definition of {topic.type} cannot be read ({first_line(error)})"
+            )
             continue
         if not has_wanted_hash:
             problem = f"{topic.type} was recorded with another definition than that which is installed"
             continue
         ros1 = partial(store.deserialize_ros1, typename=topic.type)
         fields_of = partial(_fields_in, store)
-        return Definition(fields_of, ros1 if topic.encoding == "ros1" else partial(_from_cdr, store, parsed))
+        return Definition(
+            fields_of,
+            ros1 if topic.encoding == "ros1" else partial(_from_cdr, store, parsed),
+        )
     raise RecordingError(problem)
 
 
 def _in_file(topic: Topic) -> Any:
     """The types that the file defines."""
-    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore  # noqa: PLC0415
+    from rosbags.typesys import (  # noqa: PLC0415
+        Stores,
+        get_types_from_idl,
+        get_types_from_msg,
+        get_typestore,
+    )
 
     store = get_typestore(Stores.EMPTY)
     if topic.schema and topic.language == "ros2msg":
         store.register(get_types_from_msg(topic.schema, topic.type))
-    for part in re.split(_NEXT_IDL, topic.schema) if topic.language in ("ros2idl", "omgidl") else ():
+    for part in (
+        re.split(_NEXT_IDL, topic.schema)
+        if topic.language in ("ros2idl", "omgidl")
+        else ()
+    ):
         if part.strip():
             store.register(get_types_from_idl(part))
     return store
@@ -280,7 +321,9 @@ def _field(described: Any) -> Field:
     name = node.name
     if name in ("ARRAY", "SEQUENCE"):
         inner, length = content
-        return _field(inner)._replace(array=True, length=length if name == "ARRAY" else None)
+        return _field(inner)._replace(
+            array=True, length=length if name == "ARRAY" else None
+        )
     return Field(content[0] if name == "BASE" else content)
 
 
@@ -289,9 +332,14 @@ def _from_cdr(store: Any, parsed: Any, data: bytes) -> Any:
     if data[:4] == _ZSTD:
         size = zstandard.frame_content_size(data)
         if not 0 <= size <= MAX_UNPACKED:
-            raise RecordingError(f"a compressed message of {size} bytes; {MAX_UNPACKED} is the most")
+            raise RecordingError(
+                f"a compressed message of {size} bytes; {MAX_UNPACKED} is the most"
+            )
         data = zstandard.decompress(data)
-    deserialize = {b"\0\0": parsed.deserialize_cdr_be, b"\0\1": parsed.deserialize_cdr_le}.get(data[:2])
+    deserialize = {
+        b"\0\0": parsed.deserialize_cdr_be,
+        b"\0\1": parsed.deserialize_cdr_le,
+    }.get(data[:2])
     if deserialize is None:
         raise RecordingError(f"{data[:4].hex(' ')} does not begin plain CDR")
     return deserialize(data[4:], 0, parsed.cls, store)[0]

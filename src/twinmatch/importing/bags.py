@@ -20,7 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.bag_files import SCANS, definition_of, first_line, scans_of, suffix_of
+from twinmatch.importing.bag_files import (
+    SCANS,
+    definition_of,
+    first_line,
+    scans_of,
+    suffix_of,
+)
 from twinmatch.importing.column_map import Column, described
 from twinmatch.sampling.channels import (
     Channel,
@@ -76,7 +82,9 @@ class Series(NamedTuple):
 def is_bag(path: Path) -> bool:
     """Whether a path looks like a bag."""
     if path.is_dir():
-        return any(file.name == METADATA or suffix_of(file) in SCANS for file in path.iterdir())
+        return any(
+            file.name == METADATA or suffix_of(file) in SCANS for file in path.iterdir()
+        )
     return suffix_of(path) in SCANS
 
 
@@ -90,7 +98,9 @@ class Bag:
     PROGRESS_EVERY: Final = 500
     """Messages between two reports of progress."""
 
-    def __init__(self, path: Path, scans: Callable[[], Sequence[Scan]], notes: Sequence[str]) -> None:
+    def __init__(
+        self, path: Path, scans: Callable[[], Sequence[Scan]], notes: Sequence[str]
+    ) -> None:
         """Look through all its messages.
 
         Args:
@@ -137,13 +147,17 @@ class Bag:
         """Its topics, sorted by name; elements of lists go by their names, if messages give them any."""
         topics = {name: self._overview_of(name) for name in sorted(self._topics)}
         paths_by_name: dict[str, dict[str, None]] = {  # sets that keep their order
-            name: {} for name, topic in topics.items() if len(topic.numbers) <= _LISTING.numbers
+            name: {}
+            for name, topic in topics.items()
+            if len(topic.numbers) <= _LISTING.numbers
         }
         for raw in self._messages(paths_by_name, _LISTING.for_names):
             with suppress(TwinmatchError):  # damage is reported where a channel is read
                 message = self._decoded(raw)
                 for path in topics[raw.topic.name].numbers:
-                    paths_by_name[raw.topic.name] |= dict.fromkeys(by_name(message, path))
+                    paths_by_name[raw.topic.name] |= dict.fromkeys(
+                        by_name(message, path)
+                    )
         return [
             topic._replace(numbers=tuple(paths_by_name.get(name, ())) or topic.numbers)
             for name, topic in topics.items()
@@ -152,11 +166,22 @@ class Bag:
     @property
     def columns(self) -> list[Column]:
         """An overview of the numbers of each topic, under the names that a map uses."""
-        listed = [topic for topic in self.topics if topic.messages and _can_be_listed(topic)]
-        channels = [Channel(topic.name, path) for topic in listed for path in topic.numbers]
+        listed = [
+            topic for topic in self.topics if topic.messages and _can_be_listed(topic)
+        ]
+        channels = [
+            Channel(topic.name, path) for topic in listed for path in topic.numbers
+        ]
         columns = [
-            described(channel.text, usual_unit(series.kind, series.path), series.values, ordered=False)
-            for channel, series in zip(channels, self.series(channels, _LISTING.messages), strict=True)
+            described(
+                channel.text,
+                usual_unit(series.kind, series.path),
+                series.values,
+                ordered=False,
+            )
+            for channel, series in zip(
+                channels, self.series(channels, _LISTING.messages), strict=True
+            )
             if series.values.size
         ]
         return [column for column in columns if column.kind != "text"]
@@ -181,7 +206,9 @@ class Bag:
         readings = [_ChannelReadings(*self._resolved(channel)) for channel in channels]
         by_topic: dict[str, list[_ChannelReadings]] = {}
         for channel_readings in readings:
-            by_topic.setdefault(channel_readings.channel.topic, []).append(channel_readings)
+            by_topic.setdefault(channel_readings.channel.topic, []).append(
+                channel_readings
+            )
         total = sum(self._counts[name] for name in by_topic)
         for place, raw in enumerate(self._messages(by_topic, most), 1):
             if progress is not None and place % self.PROGRESS_EVERY == 0:
@@ -199,7 +226,11 @@ class Bag:
 
     def _named_error(self, error: TwinmatchError) -> RecordingError:
         """The error with the path of the bag, which a `RecordingError` names already."""
-        return error if isinstance(error, RecordingError) else RecordingError(f"{self.path}: {error}")
+        return (
+            error
+            if isinstance(error, RecordingError)
+            else RecordingError(f"{self.path}: {error}")
+        )
 
     def _messages(self, topics: Collection[str], most: int | None) -> Iterator[Message]:
         """The messages of topics in the order of recording: of each the first `most`, or all.
@@ -234,12 +265,20 @@ class Bag:
             RecordingError: it is not in the bag, or cannot be read.
         """
         topics = self._topics
-        name = channel.topic if channel.topic in topics else f"/{channel.topic.lstrip('/')}"
+        name = (
+            channel.topic
+            if channel.topic in topics
+            else f"/{channel.topic.lstrip('/')}"
+        )
         if name not in topics:
             present = ", ".join(sorted(topics)[: self._MOST_LISTED]) or "none"
-            raise RecordingError(f"{self.path}: has no topic {channel.topic}; it has {present}")
+            raise RecordingError(
+                f"{self.path}: has no topic {channel.topic}; it has {present}"
+            )
         if not self._counts[name]:
-            raise RecordingError(f"{self.path}: topic {name} has no messages; map another one")
+            raise RecordingError(
+                f"{self.path}: topic {name} has no messages; map another one"
+            )
         kinds = {topic.type for topic in topics[name]}
         if len(kinds) > 1:
             raise RecordingError(
@@ -253,15 +292,21 @@ class Bag:
         except SamplingError as error:
             raise RecordingError(f"{self.path}: {channel.text}: {error}") from None
         except RecordingError as error:
-            raise RecordingError(f"{self.path}: {name}: {error}, or map another topic") from None
+            raise RecordingError(
+                f"{self.path}: {name}: {error}, or map another topic"
+            ) from None
 
     def _overview_of(self, name: str) -> BagTopic:
         """A topic, with the numbers of its messages if these can be read."""
         kinds = sorted({topic.type for topic in self._topics[name]})
         if len(kinds) > 1:
-            return BagTopic(name, "several types", self._counts[name], (), " and ".join(kinds))
+            return BagTopic(
+                name, "several types", self._counts[name], (), " and ".join(kinds)
+            )
         try:
-            numbers = tuple(fields_below(kinds[0], definition_of(self._topics[name][0]).fields_of))
+            numbers = tuple(
+                fields_below(kinds[0], definition_of(self._topics[name][0]).fields_of)
+            )
         except RecordingError as error:
             return BagTopic(name, kinds[0], self._counts[name], (), str(error))
         return BagTopic(name, kinds[0], self._counts[name], numbers)
@@ -280,7 +325,8 @@ class _ChannelReadings:
     def take(self, place: int, raw: Message, message: Any) -> None:
         """Take the number in the `place`-th message: `raw` as recorded, `message` decoded."""
         number = self._followed.number(message)
-        if number is not None:  # else it is about other elements, perhaps of another publisher
+        if number is not None:
+            # else it is about other elements, perhaps of another publisher
             self._rows.append((place, raw.log_time / 1e9, _stamp(message), number))
 
     def clear(self) -> None:
@@ -317,13 +363,21 @@ def open_bag(path: Path) -> Iterator[Bag]:
         RecordingError: the bag does not exist or is damaged, or the library that reads it is not installed.
     """
     if find_spec("rosbags") is None:
-        raise RecordingError(f"{path}: to read bags, install rosbags: pip install 'twinmatch[bags]'")
+        raise RecordingError(
+            f"{path}: to read bags, install rosbags: pip install 'twinmatch[bags]'"
+        )
     if not path.exists():
         raise RecordingError(f"{path}: does not exist")
-    files, notes = files_of(path, lambda file: suffix_of(file) in SCANS) if path.is_dir() else ([path], [])
+    files, notes = (
+        files_of(path, lambda file: suffix_of(file) in SCANS)
+        if path.is_dir()
+        else ([path], [])
+    )
     if not files or len({suffix_of(file) for file in files}) > 1:
         problem = (
-            "has files of several kinds; give one of them" if files else f"has no {', '.join(SCANS)} file"
+            "has files of several kinds; give one of them"
+            if files
+            else f"has no {', '.join(SCANS)} file"
         )
         raise RecordingError(f"{path}: {problem}")
     with scans_of(files) as scans:

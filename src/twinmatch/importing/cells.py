@@ -43,7 +43,9 @@ def number(text: str, decimal: str = ".") -> float | None:
 class Cells:
     """The cells of a table, taken in row by row, or many plain rows at once."""
 
-    def __init__(self, width: int, separator: str, decimal: str, *, thousands: bool = False) -> None:
+    def __init__(
+        self, width: int, separator: str, decimal: str, *, thousands: bool = False
+    ) -> None:
         """Begin without rows; `thousands`: whether commas are known to separate thousands."""
         self.places = array("q")
         """The line of each row in the file."""
@@ -55,7 +57,9 @@ class Cells:
         self._separator = separator
         self._decimal = decimal
         self._thousands = thousands
-        self._empty = re.compile(rf"(^|{re.escape(separator)})(?={re.escape(separator)}|$)")
+        self._empty = re.compile(
+            rf"(^|{re.escape(separator)})(?={re.escape(separator)}|$)"
+        )
 
     def take_rows(self, rows: Iterable[tuple[int, list[str]]]) -> None:
         """Take rows of any cells, each with its place."""

@@ -34,8 +34,18 @@ class _Agreement:
 
 
 _AGREEMENT: Final = _Agreement()
-_NAME: Final = re.compile(r"^t$|^ms$|time|stamp|elapsed|millis|micros|uptime|^sec|clock", re.IGNORECASE)
-_UNITS: Final = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_NAME: Final = re.compile(
+    r"^t$|^ms$|time|stamp|elapsed|millis|micros|uptime|^sec|clock", re.IGNORECASE
+)
+_UNITS: Final = {
+    "ns": 1e-9,
+    "us": 1e-6,
+    "ms": 1e-3,
+    "s": 1.0,
+    "min": 60.0,
+    "h": 3600.0,
+    "d": 86400.0,
+}
 """Usual units of time, s."""
 _COUNTED: Final = r"rec|record|row|sample|scan|point|reading|entry|line|data"
 _NUMBER: Final = r"no|nr|num|number|idx|index|id|count|counter|#"
@@ -51,7 +61,9 @@ def is_record_number(name: str, values: FloatArray) -> bool:
 
     `name` is its title without a unit, `values` are its numbers, shape (N,).
     """
-    return _RECORD.fullmatch(name.strip()) is not None and bool((values == np.rint(values)).all())
+    return _RECORD.fullmatch(name.strip()) is not None and bool(
+        (values == np.rint(values)).all()
+    )
 
 
 class _Clock(NamedTuple):
@@ -80,7 +92,9 @@ def require_agreement(table: Table, title: str, times: Times) -> None:
             continue
         ratio = _ratio(times.seconds, clock.seconds)
         if ratio is not None:
-            raise RecordingError(f"{table.path}: {_disagreement(table, title, times, clock, ratio)}")
+            raise RecordingError(
+                f"{table.path}: {_disagreement(table, title, times, clock, ratio)}"
+            )
 
 
 def unlabelled_clocks(table: Table, title: str, times: Times) -> list[str]:
@@ -89,15 +103,23 @@ def unlabelled_clocks(table: Table, title: str, times: Times) -> list[str]:
     for clock in _other_clocks(table, title):
         ratio = None if clock.is_labelled else _ratio(times.seconds, clock.seconds)
         if ratio is not None:
-            notes.append(f"Two clocks: {_disagreement(table, title, times, clock, ratio)}.")
+            notes.append(
+                f"Two clocks: {_disagreement(table, title, times, clock, ratio)}."
+            )
     return notes
 
 
-def _disagreement(table: Table, title: str, times: Times, clock: _Clock, ratio: float) -> str:
+def _disagreement(
+    table: Table, title: str, times: Times, clock: _Clock, ratio: float
+) -> str:
     rows = f"by {title!r} the rows are {_step(times.seconds):.4g} s apart, by {clock.title!r}"
     label = table.unit(title) or unit_in(title) or "s"
     true_unit = _unit_of(_UNITS.get(label.lower(), 1.0) / ratio)
-    guess = f"if {title!r} counts {true_unit}, write 'time={title}; unit={true_unit}'; " if true_unit else ""
+    guess = (
+        f"if {title!r} counts {true_unit}, write 'time={title}; unit={true_unit}'; "
+        if true_unit
+        else ""
+    )
     return (
         f"{rows} {_step(clock.seconds):.4g} s; {guess}if it is right, write 'time={title}; unit={label}'; "
         f"to use the other, write 'time={clock.title}'"
@@ -170,4 +192,6 @@ def _clock(table: Table, title: str) -> _Clock | None:
     if np.mean(steps > 0) < _AGREEMENT.rising:
         return None
     has_unit = bool(table.unit(title) or unit_in(title))
-    return _Clock(title, seconds, is_labelled=has_unit or is_since_1970(table.columns[title]))
+    return _Clock(
+        title, seconds, is_labelled=has_unit or is_since_1970(table.columns[title])
+    )

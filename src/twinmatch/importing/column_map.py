@@ -41,10 +41,17 @@ def read_map(path: Path) -> SignalMap:
     """
     content = decoded(read_yaml(path), _MapFile, str(path), RecordingError)
     if not content.columns:
-        raise RecordingError(f"{path}: columns is empty; give a line for each signal, such as output: T")
+        raise RecordingError(
+            f"{path}: columns is empty; give a line for each signal, such as output: T"
+        )
     if content.period is not None and not 0 < content.period < np.inf:
-        raise RecordingError(f"{path}: period is {content.period:g}; give a positive number of seconds")
-    sources = {name: source_of(f"{path}: {name}", entry) for name, entry in content.columns.items()}
+        raise RecordingError(
+            f"{path}: period is {content.period:g}; give a positive number of seconds"
+        )
+    sources = {
+        name: source_of(f"{path}: {name}", entry)
+        for name, entry in content.columns.items()
+    }
     return SignalMap(sources, content.plant, content.period)
 
 
@@ -63,10 +70,15 @@ _INPUT: Final = re.compile(
     r"compressor|\bfan|(?-i:^u(?:[A-Z_\d].*)?$)|^u\d*$|^q\d*$|pwm|duty|volt|current|power|valve|pump|command|\bcmd|input|^mv$|drive|actuat|throttle",
     re.IGNORECASE,
 )
-_ROOM: Final = re.compile(r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE)
-_OUTSIDE: Final = re.compile(r"amb|outside|outdoor|environment|t_?inf|surround|weather", re.IGNORECASE)
+_ROOM: Final = re.compile(
+    r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE
+)
+_OUTSIDE: Final = re.compile(
+    r"amb|outside|outdoor|environment|t_?inf|surround|weather", re.IGNORECASE
+)
 _TIME: Final = re.compile(
-    r"^t$|^tout$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed|^zeit", re.IGNORECASE
+    r"^t$|^tout$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed|^zeit",
+    re.IGNORECASE,
 )
 
 
@@ -144,13 +156,19 @@ class Column(NamedTuple):
     @property
     def short_name(self) -> str:
         """Its name without a unit, or what it is called within its domain: `heater` of `switch.heater`."""
-        return self.name.rpartition("=")[2].rpartition(".")[2] or split_title(self.title)[0]
+        return (
+            self.name.rpartition("=")[2].rpartition(".")[2]
+            or split_title(self.title)[0]
+        )
 
 
 def columns_of(table: Table) -> list[Column]:
     """Summaries of all columns."""
     if isinstance(table, SeriesTable):
-        return [_column(table, table.time), *(_series(table, title) for title in table.places_of)]
+        return [
+            _column(table, table.time),
+            *(_series(table, title) for title in table.places_of),
+        ]
     return [_column(table, title) for title in table.columns]
 
 
@@ -158,7 +176,16 @@ def _series(table: SeriesTable, title: str) -> Column:
     """The summary of a series of a table that stacks them."""
     if table.texts.get(title):
         different = {*table.texts[title].values()}
-        return Column(title, "", np.nan, np.nan, len(different), 0, "text", name=table.names[title])
+        return Column(
+            title,
+            "",
+            np.nan,
+            np.nan,
+            len(different),
+            0,
+            "text",
+            name=table.names[title],
+        )
     column = described(title, table.unit(title), table.own_values(title), ordered=True)
     kind = "numbers" if column.kind in ("time", "record number") else column.kind
     return column._replace(kind=kind, name=table.names[title])
@@ -173,15 +200,31 @@ def _column(table: Table, title: str) -> Column:
         times = _read_any_times(table, title)
     except TwinmatchError:
         numbers = table.columns[title]
-        different_texts = {*table.texts[title].values(), *numbers[np.isfinite(numbers)].tolist()}
-        return Column(title, table.unit(title), np.nan, np.nan, len(different_texts), 0, "text")
+        different_texts = {
+            *table.texts[title].values(),
+            *numbers[np.isfinite(numbers)].tolist(),
+        }
+        return Column(
+            title, table.unit(title), np.nan, np.nan, len(different_texts), 0, "text"
+        )
     seconds = times.seconds[np.isfinite(times.seconds)]
     different = np.unique(seconds).size
     unit = CLOCK if times.origin is None else "date"
     kind = "constant" if different == 1 else "time"
-    if times.origin is not None and not (np.rint(times.origin + seconds) % 86400.0).any():
+    if (
+        times.origin is not None
+        and not (np.rint(times.origin + seconds) % 86400.0).any()
+    ):
         kind = "day"
-    return Column(title, unit, 0.0, float(seconds.max()), different, times.seconds.size - seconds.size, kind)
+    return Column(
+        title,
+        unit,
+        0.0,
+        float(seconds.max()),
+        different,
+        times.seconds.size - seconds.size,
+        kind,
+    )
 
 
 def _read_any_times(table: Table, title: str) -> Times:
@@ -220,7 +263,9 @@ def described(title: str, unit: str, values: FloatArray, *, ordered: bool) -> Co
     )
 
 
-def _kind(title: str, finite: FloatArray, different: FloatArray, *, ordered: bool) -> str:
+def _kind(
+    title: str, finite: FloatArray, different: FloatArray, *, ordered: bool
+) -> str:
     """The kind of a column with these `finite` values, in their order; `different` has each of them once."""
     if different.size == 1:
         return "constant"
@@ -244,7 +289,9 @@ def _is_time(title: str, finite: FloatArray) -> bool:
     name, _ = split_title(title)
     if _TIME.search(name) is None:
         return False
-    repeats_rarely = bool((steps >= 0).all()) and np.sum(steps == 0) <= max(1, _TITLED.repeats * steps.size)
+    repeats_rarely = bool((steps >= 0).all()) and np.sum(steps == 0) <= max(
+        1, _TITLED.repeats * steps.size
+    )
     set_back_rarely = bool((steps < 0).sum() <= _TITLED.steps_back * (steps > 0).sum())
     return bool(repeats_rarely or (set_back_rarely and name.lower() in _SURE_TIMES))
 
@@ -268,7 +315,9 @@ def _is_stepped(values: FloatArray) -> bool:
     return float(np.median(moved)) >= _COMMANDED.jump * float(np.ptp(values))
 
 
-def proposed(columns: Sequence[Column], table: Table | None = None) -> dict[str, SignalSource]:
+def proposed(
+    columns: Sequence[Column], table: Table | None = None
+) -> dict[str, SignalSource]:
     """A guess at the columns of time, output, input, reference and room, for a person to check.
 
     With the `table` itself, further inputs are `input.2` and so on: those with which the output moves, too.
@@ -277,14 +326,25 @@ def proposed(columns: Sequence[Column], table: Table | None = None) -> dict[str,
     if table is not None and "output" not in chosen and "room" in chosen:
         chosen["output"] = chosen.pop("room")
     _pair_by_name(columns, chosen)
-    if seen_by_controller(columns, {signal: SignalSource((c.title,)) for signal, c in chosen.items()}):
+    if seen_by_controller(
+        columns, {signal: SignalSource((c.title,)) for signal, c in chosen.items()}
+    ):
         chosen["output"], chosen["input"] = _in_and_out(columns)
     elif table is not None:
         _add_inputs(columns, chosen, table)
-    sources = {signal: SignalSource((column.title,)) for signal, column in chosen.items()}
+    sources = {
+        signal: SignalSource((column.title,)) for signal, column in chosen.items()
+    }
     if day_and_clock := _day_and_clock(columns):
         sources["time"] = SignalSource(day_and_clock)
-    order = ("time", "output", "input", *(signal for signal in sources if "." in signal), "reference", "room")
+    order = (
+        "time",
+        "output",
+        "input",
+        *(signal for signal in sources if "." in signal),
+        "reference",
+        "room",
+    )
     return {signal: sources[signal] for signal in order if signal in sources}
 
 
@@ -307,16 +367,25 @@ def _pair_by_name(columns: Sequence[Column], chosen: dict[str, Column]) -> None:
         column = chosen.get(signal)
         if column is None or share_a_word(column.short_name, output.short_name):
             continue
-        of_signal = [c for name, candidates in _candidates(columns) if name == signal for c in candidates]
+        of_signal = [
+            c
+            for name, candidates in _candidates(columns)
+            if name == signal
+            for c in candidates
+        ]
         others = [chosen[name] for name in chosen if name != signal]
         of_same_thing = [
-            c for c in of_signal if c not in others and share_a_word(c.short_name, output.short_name)
+            c
+            for c in of_signal
+            if c not in others and share_a_word(c.short_name, output.short_name)
         ]
         if of_same_thing:
             chosen[signal] = of_same_thing[0]
 
 
-def of_all_loops(columns: Sequence[Column], sources: Mapping[str, SignalSource]) -> dict[str, SignalSource]:
+def of_all_loops(
+    columns: Sequence[Column], sources: Mapping[str, SignalSource]
+) -> dict[str, SignalSource]:
     """The guess with the further outputs that have an input of the same thing, by name; empty without one.
 
     `sources` is the guess at one loop.
@@ -324,14 +393,26 @@ def of_all_loops(columns: Sequence[Column], sources: Mapping[str, SignalSource])
     if not {"output", "input"} <= sources.keys():
         return {}
     used = {title for source in sources.values() for title in source.places}
-    free = [c for c in columns if c.title not in used and not _REFERENCE.search(c.short_name)]
+    free = [
+        c
+        for c in columns
+        if c.title not in used and not _REFERENCE.search(c.short_name)
+    ]
     measured = _of_units(free)
-    drives = [c for c in _named(free, _INPUT, ("on or off", "numbers")) if c not in measured]
-    outputs = [c for c in _named(free, _OUTPUT, ("numbers",)) if c not in drives and c not in measured]
+    drives = [
+        c for c in _named(free, _INPUT, ("on or off", "numbers")) if c not in measured
+    ]
+    outputs = [
+        c
+        for c in _named(free, _OUTPUT, ("numbers",))
+        if c not in drives and c not in measured
+    ]
     pairs = _paired([*outputs, *measured], drives)
     if not pairs:
         return {}
-    several = {name: source for name, source in sources.items() if name in ("time", "room")}
+    several = {
+        name: source for name, source in sources.items() if name in ("time", "room")
+    }
     several |= {"output.1": sources["output"], "input.1": sources["input"]}
     for number, (output, drive) in enumerate(pairs, 2):
         several[f"output.{number}"] = SignalSource((output.title,))
@@ -339,7 +420,9 @@ def of_all_loops(columns: Sequence[Column], sources: Mapping[str, SignalSource])
     return several
 
 
-def _paired(outputs: Sequence[Column], drives: Sequence[Column]) -> list[tuple[Column, Column]]:
+def _paired(
+    outputs: Sequence[Column], drives: Sequence[Column]
+) -> list[tuple[Column, Column]]:
     """Each output with the first drive of the same thing that no other output has."""
     pairs: list[tuple[Column, Column]] = []
     for output in outputs:
@@ -351,7 +434,9 @@ def _paired(outputs: Sequence[Column], drives: Sequence[Column]) -> list[tuple[C
     return pairs
 
 
-def _add_inputs(columns: Sequence[Column], chosen: dict[str, Column], table: Table) -> None:
+def _add_inputs(
+    columns: Sequence[Column], chosen: dict[str, Column], table: Table
+) -> None:
     """Add what is named like an input, or switched, if the output moves with it beside the first input."""
     if not {"output", "input"} <= chosen.keys():
         return
@@ -367,12 +452,18 @@ def _add_inputs(columns: Sequence[Column], chosen: dict[str, Column], table: Tab
     inputs = [chosen["input"], *further]
     if not further or isinstance(table, SeriesTable):
         return
-    is_moving = moving(table.values(output.title), [table.values(column.title) for column in inputs])
-    moved_by = [column for column, moves in zip(inputs, is_moving, strict=True) if moves]
+    is_moving = moving(
+        table.values(output.title), [table.values(column.title) for column in inputs]
+    )
+    moved_by = [
+        column for column, moves in zip(inputs, is_moving, strict=True) if moves
+    ]
     if len(moved_by) < 2:
         return
     del chosen["input"]
-    chosen.update({f"input.{number}": column for number, column in enumerate(moved_by, 1)})
+    chosen.update(
+        {f"input.{number}": column for number, column in enumerate(moved_by, 1)}
+    )
 
 
 def _day_and_clock(columns: Sequence[Column]) -> tuple[str, ...]:
@@ -388,7 +479,9 @@ def _candidates(columns: Sequence[Column]) -> list[tuple[str, list[Column]]]:
     Pairs are tried in this order: what a title says comes before how the values behave.
     """
     references = _named(columns, _REFERENCE, ("numbers", "constant"))
-    signals = [column for column in columns if column not in references and not column.even]
+    signals = [
+        column for column in columns if column not in references and not column.even
+    ]
     titled_inputs = _named(signals, _INPUT, ("on or off", "numbers"))
     titled_outputs = _liveliest(_named(signals, _OUTPUT, ("numbers", "time")))
     measured = _liveliest(_of_units(signals))
@@ -398,7 +491,14 @@ def _candidates(columns: Sequence[Column]) -> list[tuple[str, list[Column]]]:
         ("reference", references),
         ("room", _named(columns, _OUTSIDE, ("numbers", "constant"))),
         ("room", _named(columns, _ROOM, ("numbers", "constant"))),
-        ("input", [column for column in titled_inputs if column.stepped or column.kind == "on or off"]),
+        (
+            "input",
+            [
+                column
+                for column in titled_inputs
+                if column.stepped or column.kind == "on or off"
+            ],
+        ),
         ("input", titled_inputs),
         ("input", [column for column in numbers if column.stepped]),
         ("output", [column for column in titled_outputs if not column.stepped]),
@@ -406,7 +506,10 @@ def _candidates(columns: Sequence[Column]) -> list[tuple[str, list[Column]]]:
         ("output", titled_outputs),
         ("time", _of_kind(columns, "time")),
         ("input", _of_kind(columns, "on or off")),
-        ("input", [column for column in numbers if column.different <= _COMMANDED.different]),
+        (
+            "input",
+            [column for column in numbers if column.different <= _COMMANDED.different],
+        ),
         ("output", _liveliest(numbers)),
         ("input", numbers),
     ]
@@ -418,7 +521,9 @@ SEEN: Final = (
 )
 
 
-def seen_by_controller(columns: Sequence[Column], sources: Mapping[str, SignalSource]) -> bool:
+def seen_by_controller(
+    columns: Sequence[Column], sources: Mapping[str, SignalSource]
+) -> bool:
     """Whether Input and Output are the controller's, as in PID libraries: Input is what it measures.
 
     The set-point tells, since what is measured follows it: its range is then nearer to that of Input.
@@ -428,7 +533,9 @@ def seen_by_controller(columns: Sequence[Column], sources: Mapping[str, SignalSo
     reference = next((column for column in columns if column.title in references), None)
     if len(input_and_output) != 2 or reference is None:
         return False
-    input_distance, output_distance = (_distance(column, reference) for column in input_and_output)
+    input_distance, output_distance = (
+        _distance(column, reference) for column in input_and_output
+    )
     return input_distance < output_distance
 
 
@@ -443,7 +550,9 @@ def _in_and_out(columns: Sequence[Column]) -> list[Column]:
     return [named[name] for name in ("input", "output") if name in named]
 
 
-def _named(columns: Sequence[Column], words: re.Pattern[str], kinds: Sequence[str]) -> list[Column]:
+def _named(
+    columns: Sequence[Column], words: re.Pattern[str], kinds: Sequence[str]
+) -> list[Column]:
     """The columns of these kinds whose names, without units, match."""
     return [c for c in columns if c.kind in kinds and words.search(c.short_name)]
 

@@ -55,9 +55,32 @@ _CLOCK: Final = re.compile(
 _DAY: Final = 86400.0
 _COLON_FRACTION: Final = re.compile(r"(:\d{2}:\d{2}):(\d{1,6})$")
 """Milliseconds behind a colon."""
-_MONTHS: Final = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"]
+_MONTHS: Final = [
+    "jan",
+    "feb",
+    "mar",
+    "apr",
+    "may",
+    "jun",
+    "jul",
+    "aug",
+    "sep",
+    "oct",
+    "nov",
+    "dec",
+]
 _HOURS_EAST: Final = {
-    **{"UTC": 0, "GMT": 0, "WET": 0, "CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2, "EET": 2, "EEST": 3},
+    **{
+        "UTC": 0,
+        "GMT": 0,
+        "WET": 0,
+        "CET": 1,
+        "MEZ": 1,
+        "CEST": 2,
+        "MESZ": 2,
+        "EET": 2,
+        "EEST": 3,
+    },
     **{"EST": -5, "EDT": -4, "CDT": -5, "MDT": -6, "PST": -8, "PDT": -7},
 }
 """Names of time zones, and their hours east of Greenwich; without those that mean several."""
@@ -106,7 +129,13 @@ def clock_seconds(text: str, unit_of_first: str = "") -> float | None:
             return None
         hours = hours % 12.0 + (12.0 if match["half"][0] in "pP" else 0.0)
     days = float(match["days"] or 0)
-    return days * _DAY + hours * 3600.0 + minutes * 60.0 + seconds + float(f"0.{match['fraction'] or 0}")
+    return (
+        days * _DAY
+        + hours * 3600.0
+        + minutes * 60.0
+        + seconds
+        + float(f"0.{match['fraction'] or 0}")
+    )
 
 
 def is_two_numbers(text: str) -> bool:
@@ -120,14 +149,20 @@ def is_date(text: str) -> bool:
     plain = text.strip()
     if plain.isdigit() or not any(character.isdigit() for character in plain[:9]):
         return False
-    return from_iso(plain) is not None or is_local(plain) or clock_seconds(plain, "h") is not None
+    return (
+        from_iso(plain) is not None
+        or is_local(plain)
+        or clock_seconds(plain, "h") is not None
+    )
 
 
 def from_iso(text: str) -> float | None:
     """Seconds since 1970 of a date of ISO 8601, as UTC without a time zone; None if the text is not one."""
     plain = _without_names(text.strip())
     plain = plain.replace("/", "-").replace(",", ".")
-    plain = _ZONE_AT_END.sub(lambda zone: f"{_HOURS_EAST[zone[1]]:+03d}:00", plain.rstrip())
+    plain = _ZONE_AT_END.sub(
+        lambda zone: f"{_HOURS_EAST[zone[1]]:+03d}:00", plain.rstrip()
+    )
     plain = _COLON_FRACTION.sub(r"\1.\2", plain)
     plain = plain[:-1] + "+00:00" if plain.endswith(("Z", "z")) else plain
     head, dot, tail = plain.partition(".")
@@ -147,7 +182,9 @@ def _without_names(text: str) -> str:
         match = form.fullmatch(text)
         if match is not None and match["month"].lower() in _MONTHS:
             month = _MONTHS.index(match["month"].lower()) + 1
-            return f"{match['year']}-{month:02d}-{int(match['day']):02d} {match['clock']}"
+            return (
+                f"{match['year']}-{month:02d}-{int(match['day']):02d} {match['clock']}"
+            )
     return text
 
 
@@ -164,7 +201,9 @@ def in_order(text: str, order: str) -> float | None:
     match = _LOCAL_DATE.fullmatch(text.strip())
     if match is None:
         return None
-    first, _, second, year, hour, minute, seconds, fraction, am_or_pm, zone = match.groups()
+    first, _, second, year, hour, minute, seconds, fraction, am_or_pm, zone = (
+        match.groups()
+    )
     day, month = (first, second) if order == DAY_FIRST else (second, first)
     if am_or_pm is not None and not 1 <= int(hour) <= 12:
         return None
@@ -183,8 +222,14 @@ def in_order(text: str, order: str) -> float | None:
         )
     except ValueError:
         return None
-    hours_east = 0 if zone in {None, "Z", "z"} else int(f"{zone[0]}1") * (int(zone[1:3]) + int(zone[4:]) / 60)
-    return (stamp + timedelta(seconds=float(f"0.{fraction or 0}"), hours=-hours_east)).timestamp()
+    hours_east = (
+        0
+        if zone in {None, "Z", "z"}
+        else int(f"{zone[0]}1") * (int(zone[1:3]) + int(zone[4:]) / 60)
+    )
+    return (
+        stamp + timedelta(seconds=float(f"0.{fraction or 0}"), hours=-hours_east)
+    ).timestamp()
 
 
 def order_of(texts: Iterable[str]) -> str:
@@ -197,7 +242,8 @@ def order_of(texts: Iterable[str]) -> str:
         return DAY_FIRST
     has_am_or_pm = dates[0][-1] in "mM."
     orders = (MONTH_FIRST, DAY_FIRST) if has_am_or_pm else (DAY_FIRST, MONTH_FIRST)
-    return min(orders, key=lambda order: _longest_step(dates, order))  # of equal ones the first
+    # of equal ones the first
+    return min(orders, key=lambda order: _longest_step(dates, order))
 
 
 def _longest_step(texts: Sequence[str], order: str) -> float:

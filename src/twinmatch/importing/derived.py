@@ -39,7 +39,11 @@ def with_derived(table: Table, signal_map: SignalMap) -> tuple[Table, SignalMap]
             columns = {**derived.columns, title: _computed(table, signal_map, source)}
             derived = replace(derived, columns=columns)
             sources[signal] = SignalSource(
-                (title,), source.unit, source.scale, source.offset, interval=source.interval
+                (title,),
+                source.unit,
+                source.scale,
+                source.offset,
+                interval=source.interval,
             )
         elif source.words or source.missing:
             _require_words(table, source)
@@ -49,7 +53,9 @@ def with_derived(table: Table, signal_map: SignalMap) -> tuple[Table, SignalMap]
                 derived = _with_numbers(derived, title, numbers)
         else:
             for title in _titles(table, source):
-                derived, sources[signal] = _with_texts_read(derived, title, sources[signal])
+                derived, sources[signal] = _with_texts_read(
+                    derived, title, sources[signal]
+                )
     return derived, replace(signal_map, sources=sources)
 
 
@@ -61,7 +67,10 @@ def _require_words(table: Table, source: SignalSource) -> None:
     """
     cells: set[str] = set()
     for place in source.separate:
-        cells.update(text.strip().lower() for text in table.texts.get(table.find(place), {}).values())
+        cells.update(
+            text.strip().lower()
+            for text in table.texts.get(table.find(place), {}).values()
+        )
     for word, meaning in source.words.items():
         if word in WORDS:
             _require_meaning(table, word, meaning)
@@ -102,7 +111,9 @@ def _titles(table: Table, source: SignalSource) -> list[str]:
     return titles
 
 
-def _with_texts_read(table: Table, title: str, source: SignalSource) -> tuple[Table, SignalSource]:
+def _with_texts_read(
+    table: Table, title: str, source: SignalSource
+) -> tuple[Table, SignalSource]:
     """The table with texts such as `17.99 °C` or `heating` as numbers, and the source with their unit.
 
     Both are as before if a text is not a number, as the date and time of day.
@@ -118,7 +129,9 @@ def _with_texts_read(table: Table, title: str, source: SignalSource) -> tuple[Ta
         units.add(written.unit)
     if len(units) > 1 or (units != {""} and np.isfinite(table.columns[title]).any()):
         return table, source
-    return _with_numbers(table, title, numbers), replace(source, unit=source.unit or units.pop())
+    return _with_numbers(table, title, numbers), replace(
+        source, unit=source.unit or units.pop()
+    )
 
 
 def _title(source: SignalSource) -> str:

@@ -23,7 +23,9 @@ __all__ = ["Head", "Line", "head_of", "split_title", "with_units", "with_whole_q
 _SEPARATORS: Final = ",;\t"
 _SEPARATOR_LINE: Final = re.compile(r"^\s*sep=(.)\s*$", re.IGNORECASE)
 """The line that names the separator for Excel."""
-_TITLE: Final = re.compile(r"^(?P<name>.*?)[(\[](?P<unit>[^()\[\]]*(?:\([^()]*\)[^()\[\]]*)?)[)\]]$")
+_TITLE: Final = re.compile(
+    r"^(?P<name>.*?)[(\[](?P<unit>[^()\[\]]*(?:\([^()]*\)[^()\[\]]*)?)[)\]]$"
+)
 _UNIT_FIRST: Final = re.compile(r"[(\[](?P<unit>[^()\[\]]+)[)\]]\s*(?P<name>\S.*)")
 """A title with its unit before the name, as in `[°C] Probe 1`."""
 _LABELLED: Final = re.compile(r"[^:]*[^:\d\s][^:]*[:=]\s*[-+]?\d[\d.,]*\s*\S{0,5}")
@@ -84,8 +86,14 @@ def head_of(path: Path, remarks: Sequence[Line], lines: Sequence[Line]) -> Head:
     notes = []
     if first_row:
         above = f"Lines {lines[0].place} to" if first_row > 1 else "Line"
-        notes.append(f"{above} {lines[first_row - 1].place} stand above the column names and are left out.")
-        notes[0] = notes[0].replace("stand", "stands").replace("are", "is") if first_row == 1 else notes[0]
+        notes.append(
+            f"{above} {lines[first_row - 1].place} stand above the column names and are left out."
+        )
+        notes[0] = (
+            notes[0].replace("stand", "stands").replace("are", "is")
+            if first_row == 1
+            else notes[0]
+        )
     table_lines = list(lines[first_row:])
     first_cells = _cells(table_lines[0].text, separator)
     if _has_names(first_cells):
@@ -140,13 +148,19 @@ def _best_names(rows: Sequence[Sequence[str]], width: int, *, default: int) -> i
 
     Remarks, units and kinds of columns may stand above and below the names.
     """
-    places = [k for k, cells in enumerate(rows) if len(cells) >= width and _has_names(cells)]
+    places = [
+        k for k, cells in enumerate(rows) if len(cells) >= width and _has_names(cells)
+    ]
     named = [k for k in places if not _are_units(rows[k])]
     if not named:
         return default
 
     def worth(place: int) -> tuple[int, bool, int]:
-        texts = {cell.strip() for cell in rows[place] if cell.strip()[:1] not in "+-.0123456789"}
+        texts = {
+            cell.strip()
+            for cell in rows[place]
+            if cell.strip()[:1] not in "+-.0123456789"
+        }
         return min(len(texts), width), len(rows[place]) == width, -place
 
     return max(named, key=worth)
@@ -177,7 +191,10 @@ def _has_names(cells: Sequence[str]) -> bool:
         return False
     if filled and all(_LABELLED.fullmatch(cell.strip()) for cell in filled):
         return False
-    is_value = [number(cell, ",") is not None or quantity_in(cell) is not None for cell in filled]
+    is_value = [
+        number(cell, ",") is not None or quantity_in(cell) is not None
+        for cell in filled
+    ]
     if not is_value or all(is_value):
         return False
     return not (is_value[0] and 2 * sum(is_value) > len(is_value))
@@ -196,10 +213,14 @@ def _commented_names(remarks: Sequence[Line], width: int, separator: str) -> lis
     return candidates[:2]
 
 
-def _without_names(path: Path, place: int, cells: Sequence[str], separator: str) -> RecordingError:
+def _without_names(
+    path: Path, place: int, cells: Sequence[str], separator: str
+) -> RecordingError:
     names = ["time", "output", "input"][: len(cells)]
     names += [f"other {k}" for k in range(1, len(cells) - 2)]
-    what = "numbers" if all(number(cell, ",") is not None for cell in cells) else "values"
+    what = (
+        "numbers" if all(number(cell, ",") is not None for cell in cells) else "values"
+    )
     return RecordingError(
         f"{path}, line {place}: has {what}; the first line must name the columns: write one above it, such "
         f"as {separator.join(names)}"
@@ -239,12 +260,16 @@ def with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], in
     is_unit = [bool(unit) and measure(unit).known for unit in units]
     if not any(is_unit) or any(_begins_as_number(units[k]) for k in filled):
         return titles, 0
-    if not any(number(cells[k], ",") is not None for cells in further_lines for k in filled):
+    if not any(
+        number(cells[k], ",") is not None for cells in further_lines for k in filled
+    ):
         return titles, 0
     titles_with_units = []
     for title, unit, is_known in zip(titles, units, is_unit, strict=True):
         has_unit = bool(split_title(title)[1])
-        titles_with_units.append(f"{title} ({unit})" if is_known and not has_unit else title)
+        titles_with_units.append(
+            f"{title} ({unit})" if is_known and not has_unit else title
+        )
     return titles_with_units, 1
 
 

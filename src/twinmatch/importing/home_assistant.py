@@ -81,7 +81,9 @@ def read_history(path: Path) -> Table:
     return taken_apart(_table(path, states), units)
 
 
-def _states(database: sqlite3.Connection, units: dict[str, str]) -> Iterator[_EntityState]:
+def _states(
+    database: sqlite3.Connection, units: dict[str, str]
+) -> Iterator[_EntityState]:
     """All states of entities that have a number at least once, and those of their attributes.
 
     `units` is filled with the unit of each entity that states one.
@@ -112,7 +114,9 @@ def _states(database: sqlite3.Connection, units: dict[str, str]) -> Iterator[_En
         if str(name).startswith(_WITH_ATTRIBUTES):
             for attribute, value in _signals_in(content).items():
                 series = f"{name}.{attribute}"
-                rows_of.setdefault(series, []).append(_EntityState(series, str(value), seconds))
+                rows_of.setdefault(series, []).append(
+                    _EntityState(series, str(value), seconds)
+                )
     for rows in rows_of.values():
         if any(_is_number(state.text) for state in rows):
             yield from rows
@@ -129,7 +133,11 @@ def _attributes(document: Any) -> dict[str, Any]:
 
 def _signals_in(attributes: dict[str, Any]) -> dict[str, Any]:
     """The attributes that are signals."""
-    return {name: attributes[name] for name in _ATTRIBUTES if attributes.get(name) is not None}
+    return {
+        name: attributes[name]
+        for name in _ATTRIBUTES
+        if attributes.get(name) is not None
+    }
 
 
 def _seconds(time: Any) -> float | None:

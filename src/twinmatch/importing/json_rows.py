@@ -28,7 +28,9 @@ def begins_as_json(text: str) -> bool:
     return plain in ("[", "{") or plain.startswith(("{", "[{"))
 
 
-def table_of_objects(path: Path, all_lines: Callable[[], Iterable[Line]]) -> Iterator[Line]:
+def table_of_objects(
+    path: Path, all_lines: Callable[[], Iterable[Line]]
+) -> Iterator[Line]:
     """One line of names, then a row for each object.
 
     `all_lines` gives the lines of the file that are not empty, from the first on; it is called twice.
@@ -48,16 +50,24 @@ def _objects(path: Path, lines: Iterable[Line]) -> Iterator[tuple[int, dict[str,
     """The cells of each object by column, with the line, or the place in the array, of the object."""
     remaining = iter(lines)
     first = next(remaining)
-    is_one_text = first.text.strip() in ("[", "{") or first.text.lstrip().startswith("[")
+    is_one_text = first.text.strip() in ("[", "{") or first.text.lstrip().startswith(
+        "["
+    )
     if is_one_text:
         text = "\n".join([first.text, *(line.text for line in remaining)])
         whole = _decoded(path, 1, text)
         for place, entry in enumerate(whole if isinstance(whole, list) else [whole], 1):
             yield place, _cells(path, place, entry)
         return
-    yield first.place, _cells(path, first.place, _decoded(path, first.place, first.text))
+    yield (
+        first.place,
+        _cells(path, first.place, _decoded(path, first.place, first.text)),
+    )
     for line in remaining:
-        yield line.place, _cells(path, line.place, _decoded(path, line.place, line.text))
+        yield (
+            line.place,
+            _cells(path, line.place, _decoded(path, line.place, line.text)),
+        )
 
 
 def _decoded(path: Path, place: int, text: str) -> object:
@@ -77,7 +87,9 @@ def _cells(path: Path, place: int, entry: object) -> dict[str, str]:
     return dict(_flattened("", entry, _DEEPEST))
 
 
-def _flattened(prefix: str, entry: Mapping[str, object], depth: int) -> Iterator[tuple[str, str]]:
+def _flattened(
+    prefix: str, entry: Mapping[str, object], depth: int
+) -> Iterator[tuple[str, str]]:
     """Names with dots and cells of an object and of those within it; lists are left out."""
     for name, value in entry.items():
         if isinstance(value, Mapping):
@@ -89,5 +101,7 @@ def _flattened(prefix: str, entry: Mapping[str, object], depth: int) -> Iterator
 
 def _written(cells: Iterable[str]) -> str:
     text = io.StringIO()
-    csv.writer(text, lineterminator="").writerow(" ".join(cell.split()) for cell in cells)
+    csv.writer(text, lineterminator="").writerow(
+        " ".join(cell.split()) for cell in cells
+    )
     return text.getvalue()

@@ -68,7 +68,9 @@ class PlantSignal(NamedTuple):
     high: float = math.inf
 
 
-def with_plant_names(table: Table, plant: type[Plant], signal_map: SignalMap) -> SignalMap:
+def with_plant_names(
+    table: Table, plant: type[Plant], signal_map: SignalMap
+) -> SignalMap:
     """The map, completed with columns that have the names of signals."""
     sources = dict(by_signal(plant, signal_map.sources))
     if isinstance(table, SeriesTable):
@@ -96,18 +98,26 @@ def _titles_by_name(table: Table) -> dict[str, list[str]]:
     return titles
 
 
-def _own_names_first(names_by_signal: Mapping[str, Sequence[str]]) -> list[tuple[str, Sequence[str]]]:
+def _own_names_first(
+    names_by_signal: Mapping[str, Sequence[str]],
+) -> list[tuple[str, Sequence[str]]]:
     """The signals with their names, those first that the plant calls otherwise, too.
 
     A plant may call its drive `output`: a column of that name is then the drive, not the output.
     """
-    named_otherwise = [(signal, names) for signal, names in names_by_signal.items() if len(names) > 1]
-    others = [(signal, names) for signal, names in names_by_signal.items() if len(names) <= 1]
+    named_otherwise = [
+        (signal, names) for signal, names in names_by_signal.items() if len(names) > 1
+    ]
+    others = [
+        (signal, names) for signal, names in names_by_signal.items() if len(names) <= 1
+    ]
     return named_otherwise + others
 
 
 def _only_free_title(
-    titles_by_name: Mapping[str, Sequence[str]], names: Iterable[str], used_titles: Container[str]
+    titles_by_name: Mapping[str, Sequence[str]],
+    names: Iterable[str],
+    used_titles: Container[str],
 ) -> str | None:
     """The title of the first of these names that exactly one column has, if that column is not used yet."""
     for name in names:
@@ -140,9 +150,12 @@ def map_samples(
             range, or a gap is too long.
     """
     sources = {
-        signal: with_titles(table, source) for signal, source in by_signal(plant, signal_map.sources).items()
+        signal: with_titles(table, source)
+        for signal, source in by_signal(plant, signal_map.sources).items()
     }
-    signals, notes = _signals_to_read(table, plant, replace(signal_map, sources=sources))
+    signals, notes = _signals_to_read(
+        table, plant, replace(signal_map, sources=sources)
+    )
     times = times_of(table, sources.get(TIME), signal_map.period)
     kinds = {signal: properties.kind for signal, properties in signals.items()}
     table, times = in_rows(table, sources, kinds, times)
@@ -151,9 +164,16 @@ def map_samples(
     for signal, properties in signals.items():
         converted = _values(table, sources[signal], signal, properties)
         values[signal] = without_impossible(converted, properties.unit)
-        impossible_notes += notes_on_impossible(table, signal, converted, values[signal])
+        impossible_notes += notes_on_impossible(
+            table, signal, converted, values[signal]
+        )
     rows, row_notes = _rows_with_values(table, times, values)
-    notes += [*impossible_notes, *row_notes, *table.notes, *notes_on_times(table, sources.get(TIME), times)]
+    notes += [
+        *impossible_notes,
+        *row_notes,
+        *table.notes,
+        *notes_on_times(table, sources.get(TIME), times),
+    ]
     for signal, properties in signals.items():
         notes += check_range(table, signal, properties, values[signal], rows)
     try:
@@ -168,14 +188,26 @@ def map_samples(
             row=lambda i: table.row_name(int(rows[i])),
         )
     except RecordingError as error:
-        raise RecordingError(" ".join([str(error), *(f"({note})" for note in impossible_notes)])) from None
+        raise RecordingError(
+            " ".join([str(error), *(f"({note})" for note in impossible_notes)])
+        ) from None
     if signal_map.period is None:
         _require_pace(table, plant, resampled.period)
         notes += _note_on_fine_rows(plant, resampled.period)
     notes.insert(0, resampled.sentence[0].upper() + resampled.sentence[1:] + ".")
-    start = EPOCH if times.origin is None else round((times.origin + float(resampled.time[0])) * 1e9)
+    start = (
+        EPOCH
+        if times.origin is None
+        else round((times.origin + float(resampled.time[0])) * 1e9)
+    )
     has_reference = LoopNames.of(plant).references[0] in resampled.columns
-    return Mapped(_samples(plant, resampled, start), resampled.period, sources, has_reference, notes)
+    return Mapped(
+        _samples(plant, resampled, start),
+        resampled.period,
+        sources,
+        has_reference,
+        notes,
+    )
 
 
 def _rows_with_values(
@@ -189,17 +221,25 @@ def _rows_with_values(
     columns = {TIME: times.seconds, **values}
     rows = complete_rows(*columns.values())
     if rows.size < 2:
-        signal = next(name for name, column in columns.items() if not np.isfinite(column).any())
-        raise RecordingError(f"{table.path}: no row has a value of {signal}; map another column to it")
+        signal = next(
+            name for name, column in columns.items() if not np.isfinite(column).any()
+        )
+        raise RecordingError(
+            f"{table.path}: no row has a value of {signal}; map another column to it"
+        )
     notes = []
     incomplete = np.setdiff1d(np.arange(times.seconds.size), rows)
     if incomplete.size:
         first = table.row_name(int(incomplete[0]))
-        notes.append(f"{incomplete.size} rows lack a value and are left out, the first in {first}.")
+        notes.append(
+            f"{incomplete.size} rows lack a value and are left out, the first in {first}."
+        )
     repeats = repeated(rows, *columns.values())
     if repeats.size:
         first = table.row_name(int(repeats[0]))
-        notes.append(f"{repeats.size} rows repeat the row before and are left out, the first in {first}.")
+        notes.append(
+            f"{repeats.size} rows repeat the row before and are left out, the first in {first}."
+        )
         rows = np.setdiff1d(rows, repeats)
     return rows, notes
 
@@ -238,7 +278,9 @@ def with_titles(table: Table, source: SignalSource) -> SignalSource:
     return replace(source, places=tuple(map(table.find, places)))
 
 
-def require_columns(table: Table, signal_map: SignalMap, needed: Sequence[str] = (OUTPUT, INPUT)) -> None:
+def require_columns(
+    table: Table, signal_map: SignalMap, needed: Sequence[str] = (OUTPUT, INPUT)
+) -> None:
     """Check that a map has these signals, and times or the distance of the rows.
 
     Raises:
@@ -253,9 +295,7 @@ def require_columns(table: Table, signal_map: SignalMap, needed: Sequence[str] =
             f"add --map {' '.join(f'{signal}=COLUMN' for signal in missing)}; "
             f"its columns are {table.titles}{_words_in(table)}"
         )
-        without_times = (
-            ". If the table has no times and its rows are equally far apart, give --period SECONDS instead"
-        )
+        without_times = ". If the table has no times and its rows are equally far apart, give --period SECONDS instead"
         raise RecordingError(msg + (without_times if TIME in missing else ""))
 
 
@@ -273,7 +313,9 @@ def _words_in(table: Table) -> str:
             except UnreadableError:
                 unknown.append(word)
         place = "; ".join([title, *(f"{word}=NUMBER" for word in unknown)])
-        hints.append(f"{title!r} holds words ({', '.join(words)}), and is mapped as 'SIGNAL={place}'")
+        hints.append(
+            f"{title!r} holds words ({', '.join(words)}), and is mapped as 'SIGNAL={place}'"
+        )
     return "".join(f"; {hint}" for hint in hints)
 
 
@@ -304,7 +346,9 @@ def _signals_to_read(
             signals[name] = PlantSignal("reading", disturbance.unit)
         else:
             value = f"{disturbance.default:g} {disturbance.unit}".strip()
-            notes.append(f"{name} is not in the table: the plant's default, {value}, is used.")
+            notes.append(
+                f"{name} is not in the table: the plant's default, {value}, is used."
+            )
     if not has_references:
         notes.append(
             "The table has no set-point: the loop is treated as unknown, the twin is driven by the input."
@@ -350,7 +394,10 @@ def times_of(table: Table, source: SignalSource | None, period: float | None) ->
 
 
 def in_rows(
-    table: Table, sources: Mapping[str, SignalSource], kinds: Mapping[str, Kind], times: Times
+    table: Table,
+    sources: Mapping[str, SignalSource],
+    kinds: Mapping[str, Kind],
+    times: Times,
 ) -> tuple[Table, Times]:
     """The table and its times with all signals in each row; of stacked series, those of the first signal.
 
@@ -362,7 +409,9 @@ def in_rows(
     for signal, kind in kinds.items():
         for title in sources[signal].places:
             if title not in table.places_of:
-                raise RecordingError(f"{table.path}: {title!r} is none of its series; {signal} needs one")
+                raise RecordingError(
+                    f"{table.path}: {title!r} is none of its series; {signal} needs one"
+                )
             kinds_by_title[title] = kind
     return table.at_rows_of(next(iter(kinds_by_title)), kinds_by_title, times)
 
@@ -372,7 +421,9 @@ def _is_unconfirmed(source: SignalSource) -> bool:
     return len(source.places) == 1 and not source.unit and source.scale == 1.0
 
 
-def notes_on_times(table: Table, source: SignalSource | None, times: Times) -> list[str]:
+def notes_on_times(
+    table: Table, source: SignalSource | None, times: Times
+) -> list[str]:
     """Notes on how times were read, and on a second clock that nobody can judge."""
     notes = []
     if times.order:
@@ -382,17 +433,22 @@ def notes_on_times(table: Table, source: SignalSource | None, times: Times) -> l
     return notes
 
 
-def _values(table: Table, source: SignalSource, signal: str, plant_signal: PlantSignal) -> FloatArray:
+def _values(
+    table: Table, source: SignalSource, signal: str, plant_signal: PlantSignal
+) -> FloatArray:
     """A signal in the plant's unit, shape (N,)."""
     changes = []
     for title in source.places:
         stated = table.unit(title)
-        stated = stated if measure(stated).known else ""  # other text in brackets is a remark
+        # other text in brackets is a remark
+        stated = stated if measure(stated).known else ""
         try:
             changes.append(source.change(signal, title, plant_signal.unit, stated))
         except SamplingError as error:
             raise RecordingError(f"{table.path}: {error}") from None
-    values = source.value([without_marks(table.values(title)) for title in source.places], changes)
+    values = source.value(
+        [without_marks(table.values(title)) for title in source.places], changes
+    )
     return np.append(values[1:], values[-1:]) if source.interval == "before" else values
 
 
@@ -424,7 +480,9 @@ def without_impossible(values: FloatArray, unit: str) -> FloatArray:
     return np.where(is_impossible, np.nan, values)
 
 
-def notes_on_impossible(table: Table, signal: str, before: FloatArray, after: FloatArray) -> list[str]:
+def notes_on_impossible(
+    table: Table, signal: str, before: FloatArray, after: FloatArray
+) -> list[str]:
     """A note on values that `without_impossible` has taken out of a signal, shape (N,) each."""
     rows = np.flatnonzero(np.isfinite(before) & np.isnan(after))
     if not rows.size:
@@ -459,19 +517,30 @@ def check_range(
     low = plant_signal.low
     high = plant_signal.high
     slack = 1e-9 * max(abs(low), abs(high)) if math.isfinite(high - low) else 0.0
-    outside = used_rows[(values[used_rows] < low - slack) | (values[used_rows] > high + slack)]
+    outside = used_rows[
+        (values[used_rows] < low - slack) | (values[used_rows] > high + slack)
+    ]
     if not outside.size:
         return []
     first = int(outside[0])
     further = f" (and in {outside.size - 1} more)" if outside.size > 1 else ""
-    bounds = "limits of its drive" if plant_signal.kind == "held" else "span of its output"
+    bounds = (
+        "limits of its drive" if plant_signal.kind == "held" else "span of its output"
+    )
     words = (
         f"{signal} is {values[first]:g} {plant_signal.unit}{further}, beyond the {bounds}, "
         f"{low:g} to {high:g}"
     )
-    if plant_signal.kind == "reading" and outside.size <= _FAILED_SENSOR_SHARE * used_rows.size:
-        return [f"In {table.row_name(first)}, {words}; kept as readings of a failed sensor."]
-    raise RecordingError(f"{table.place(first)}: {words}; {_hint(signal, plant_signal, values[used_rows])}")
+    if (
+        plant_signal.kind == "reading"
+        and outside.size <= _FAILED_SENSOR_SHARE * used_rows.size
+    ):
+        return [
+            f"In {table.row_name(first)}, {words}; kept as readings of a failed sensor."
+        ]
+    raise RecordingError(
+        f"{table.place(first)}: {words}; {_hint(signal, plant_signal, values[used_rows])}"
+    )
 
 
 def _all_in_range(values: FloatArray, plant_signal: PlantSignal) -> bool:
@@ -492,8 +561,12 @@ def _hint(signal: str, plant_signal: PlantSignal, values: FloatArray) -> str:
     for scale in (0.01, 100.0, 1e-3, 1e3, 100 / 255, 1 / 255):
         with np.errstate(over="ignore"):  # of damaged files
             converted = values * scale
-        if converted.max() > 0.2 * plant_signal.high and _all_in_range(converted, plant_signal):
-            return f"if it is in another unit, write '{signal}=COLUMN; scale={scale:.6g}'"
+        if converted.max() > 0.2 * plant_signal.high and _all_in_range(
+            converted, plant_signal
+        ):
+            return (
+                f"if it is in another unit, write '{signal}=COLUMN; scale={scale:.6g}'"
+            )
     return "map another column, give its unit, or widen the plant's range if the values are right"
 
 
@@ -517,7 +590,9 @@ def _samples(plant: type[Plant], resampled: Resampled, start: int) -> list[Sampl
     return [Sample(*row) for row in rows]
 
 
-def _rows(columns: Mapping[str, FloatArray], names: Sequence[str], size: int) -> list[Signals]:
+def _rows(
+    columns: Mapping[str, FloatArray], names: Sequence[str], size: int
+) -> list[Signals]:
     """The values of these columns by row; `size` is the number of rows, also of no columns."""
     values = np.array([columns[name] for name in names]).reshape(len(names), size)
     return list(map(tuple, values.T.tolist()))
@@ -534,11 +609,17 @@ def _stamps(resampled: Resampled, start: int) -> NDArray[np.int64]:
     put_off = 0
     for stretch in resampled.stretches:
         first = stretch.start
-        begin = start + round(float(resampled.time[first] - resampled.time[0]) * 1e9) + put_off
+        begin = (
+            start
+            + round(float(resampled.time[first] - resampled.time[0]) * 1e9)
+            + put_off
+        )
         if first and begin <= stamps[first - 1]:
             skipped = int(resampled.index[first] - resampled.index[first - 1])
             follows = int(stamps[first - 1]) + round(skipped * period * 1e9)
             put_off += follows - begin
             begin = follows
-        stamps[stretch] = [begin + round(k * period * 1e9) for k in range(stretch.stop - first)]
+        stamps[stretch] = [
+            begin + round(k * period * 1e9) for k in range(stretch.stop - first)
+        ]
     return stamps

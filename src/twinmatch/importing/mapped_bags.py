@@ -26,7 +26,13 @@ from twinmatch.importing.tables import Table
 from twinmatch.importing.timed_signals import Hole, Loss, TimedSignal, rising_signal
 from twinmatch.sampling.channels import Channel, SamplingError
 from twinmatch.sampling.names import LoopNames, by_signal, signals_of
-from twinmatch.sampling.sources import OUTPUT, TIME, FollowedSignal, SignalMap, SignalSource
+from twinmatch.sampling.sources import (
+    OUTPUT,
+    TIME,
+    FollowedSignal,
+    SignalMap,
+    SignalSource,
+)
 from twinmatch.sessions.files import ProgressCallback, RecordingError
 from twinmatch.signals import FloatArray
 
@@ -58,7 +64,9 @@ def map_bag(
     times, clock_notes = times_by_one_clock(recorded)
     placed = _placed(recorded, times)
     step_of_readings = usual_step(np.diff(times[loop.outputs[0]][0]))
-    stretches = Stretches.of(list(chain.from_iterable(placed.values())), step_of_readings)
+    stretches = Stretches.of(
+        list(chain.from_iterable(placed.values())), step_of_readings
+    )
     times_in_stretches = {}
     for name, channels in placed.items():
         times_in_stretches[name] = [stretches.put(channel) for channel in channels]
@@ -66,15 +74,23 @@ def map_bag(
     rows = _Rows(path, loop, signals, sources)
     is_used, row_losses = rows.with_all_signals(longest, gaps)
     table = _table(path, rows.columns(is_used, longest), is_used, stretches)
-    run = map_samples(table, _own_map(table, signal_map), plant, longest=longest, gaps=gaps)
+    run = map_samples(
+        table, _own_map(table, signal_map), plant, longest=longest, gaps=gaps
+    )
     counts = {name: channels[0].values.size for name, channels in recorded.items()}
     account = _account(counts, loop, int(is_used.sum()), [*losses, *row_losses])
-    return run._replace(sources=sources, notes=[*run.notes, *bag_notes, *clock_notes, account])
+    return run._replace(
+        sources=sources, notes=[*run.notes, *bag_notes, *clock_notes, account]
+    )
 
 
-def _require_mapped(path: Path, loop: LoopNames, sources: Mapping[str, SignalSource]) -> None:
+def _require_mapped(
+    path: Path, loop: LoopNames, sources: Mapping[str, SignalSource]
+) -> None:
     if TIME in sources:
-        raise RecordingError("--map time: a bag has the times of its messages; leave it out")
+        raise RecordingError(
+            "--map time: a bag has the times of its messages; leave it out"
+        )
     for name in (*loop.outputs, *loop.inputs):
         if name not in sources:
             msg = f"{path}: no topic is mapped to {name}; add --map {name}=TOPIC:FIELD (--list shows them)"
@@ -106,21 +122,30 @@ def _followed(
     for name, source in sources.items():
         series_of_signal = recorded[name]
         asked = source.channels(name)
-        channels = [Channel(c.topic, s.path) for c, s in zip(asked, series_of_signal, strict=True)]
+        channels = [
+            Channel(c.topic, s.path)
+            for c, s in zip(asked, series_of_signal, strict=True)
+        ]
         kinds = [series.kind for series in series_of_signal]
         try:
-            followed[name] = source.follow(name, plant_signals[name].unit, channels, kinds)
+            followed[name] = source.follow(
+                name, plant_signals[name].unit, channels, kinds
+            )
         except SamplingError as error:
             raise RecordingError(f"{bag.path}: {error}") from None
     return followed
 
 
-def _placed(recorded: Mapping[str, Sequence[Series]], times: Times) -> dict[str, list[PlacedTimes]]:
+def _placed(
+    recorded: Mapping[str, Sequence[Series]], times: Times
+) -> dict[str, list[PlacedTimes]]:
     """The times by one clock of the messages of each channel, with their places in the bag."""
     placed = {}
     for name, of_signal in recorded.items():
         pairs = zip(of_signal, times[name], strict=True)
-        placed[name] = [PlacedTimes(series.place, series_times) for series, series_times in pairs]
+        placed[name] = [
+            PlacedTimes(series.place, series_times) for series, series_times in pairs
+        ]
     return placed
 
 
@@ -149,7 +174,11 @@ def _signals(
         values = [first.values]
         for channel in further:
             is_held = is_computed and channel.is_whole
-            values.append(channel.held(first.times) if is_held else channel.interpolated(first.times))
+            values.append(
+                channel.held(first.times)
+                if is_held
+                else channel.interpolated(first.times)
+            )
         computed = followed[name].values(values, first.times)
         is_number = np.isfinite(computed)  # a rate has none at its first message
         signals[name] = TimedSignal(first.times[is_number], computed[is_number])
@@ -172,7 +201,9 @@ class _Rows(NamedTuple):
     def times(self) -> FloatArray:
         return self.signals[self.output].times
 
-    def with_all_signals(self, longest: float | None, gaps: Gaps) -> tuple[NDArray[np.bool_], list[Loss]]:
+    def with_all_signals(
+        self, longest: float | None, gaps: Gaps
+    ) -> tuple[NDArray[np.bool_], list[Loss]]:
         """Which readings have all other signals, shape (N,), and how many lack one, by reason.
 
         Raises:
@@ -180,17 +211,24 @@ class _Rows(NamedTuple):
                 than two readings have all signals.
         """
         is_used = self.times >= self._all_begun()
-        losses = [Loss(int((~is_used).sum()), f"before the first {self._others_in_words()}")]
+        losses = [
+            Loss(int((~is_used).sum()), f"before the first {self._others_in_words()}")
+        ]
         for name, signal in self.signals.items():
-            if name == self.output or name in self.loop.references:  # set-points apply until the next
+            if name == self.output or name in self.loop.references:
+                # set-points apply until the next
                 continue
             is_in_hole = np.zeros_like(is_used)
             for hole in signal.holes(self.times, longest):
-                is_inside = is_used & (self.times > hole.begin) & (self.times < hole.end)
+                is_inside = (
+                    is_used & (self.times > hole.begin) & (self.times < hole.end)
+                )
                 if gaps == "refuse" and is_inside.any():
                     self._refuse(name, hole, int(np.flatnonzero(is_inside)[0]))
                 is_in_hole |= is_inside
-            losses.append(Loss(int(is_in_hole.sum()), f"in holes of {self._described(name)}"))
+            losses.append(
+                Loss(int(is_in_hole.sum()), f"in holes of {self._described(name)}")
+            )
             is_used &= ~is_in_hole
         if is_used.sum() < 2:
             text = self.sources[self.output].text
@@ -202,7 +240,11 @@ class _Rows(NamedTuple):
         """The time at which all other signals of the loop have a value, s."""
         _, *other_outputs = self.loop.outputs
         needed = (*self.loop.inputs, *self.loop.references, *other_outputs)
-        return max(float(self.signals[name].times[0]) for name in needed if name in self.signals)
+        return max(
+            float(self.signals[name].times[0])
+            for name in needed
+            if name in self.signals
+        )
 
     def _others_in_words(self) -> str:
         if len(self.loop.outputs) > 1:
@@ -223,7 +265,9 @@ class _Rows(NamedTuple):
             f"hold its last value (--bridge {math.ceil(seconds) + 1})"
         )
 
-    def columns(self, is_used: NDArray[np.bool_], longest: float | None) -> dict[str, FloatArray]:
+    def columns(
+        self, is_used: NDArray[np.bool_], longest: float | None
+    ) -> dict[str, FloatArray]:
         """Columns of a table by signal, for the readings that are used."""
         times = self.times[is_used]
         columns = {TIME: times, self.output: self.signals[self.output].values[is_used]}
@@ -238,7 +282,10 @@ class _Rows(NamedTuple):
 
 
 def _table(
-    path: Path, columns: Mapping[str, FloatArray], is_used: NDArray[np.bool_], stretches: Stretches
+    path: Path,
+    columns: Mapping[str, FloatArray],
+    is_used: NDArray[np.bool_],
+    stretches: Stretches,
 ) -> Table:
     """A table of these columns with the times of the clock, whose lines are the numbers of the readings."""
     by_clock = {**columns, TIME: stretches.taken_back(columns[TIME])}
@@ -248,16 +295,25 @@ def _table(
 
 def _own_map(table: Table, signal_map: SignalMap) -> SignalMap:
     """The map of a table whose columns have the names of signals and are in the plant's units."""
-    columns = {name: SignalSource((name,), "s" if name == TIME else "") for name in table.columns}
+    columns = {
+        name: SignalSource((name,), "s" if name == TIME else "")
+        for name in table.columns
+    }
     return SignalMap(columns, signal_map.plant, signal_map.period)
 
 
-def _account(counts: Mapping[str, int], loop: LoopNames, used: int, losses: Sequence[Loss]) -> str:
+def _account(
+    counts: Mapping[str, int], loop: LoopNames, used: int, losses: Sequence[Loss]
+) -> str:
     """What became of the messages that were read, in a sentence."""
     output = loop.outputs[0]
     output_in_words = "the output" if output == OUTPUT else output
-    counts_beside = ", ".join(f"{count} of {name}" for name, count in counts.items() if name != output)
-    left_out = ", ".join(f"{loss.messages} {loss.why}" for loss in losses if loss.messages)
+    counts_beside = ", ".join(
+        f"{count} of {name}" for name, count in counts.items() if name != output
+    )
+    left_out = ", ".join(
+        f"{loss.messages} {loss.why}" for loss in losses if loss.messages
+    )
     without = f" (left out: {left_out})" if left_out else ""
     return (
         f"Of {counts[output]} messages of {output_in_words}, {used} are used{without}; "

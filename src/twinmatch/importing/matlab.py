@@ -91,19 +91,33 @@ def read_matrices(path: Path, name: str = "", width: int = 0) -> dict[str, Float
         header = file.read(_HEADER)
         order = _ORDERS.get(header[124:])
         if header.startswith(b"MATLAB 7.3"):
-            raise RecordingError(f"{path}: is a MATLAB 7.3 file; save it again with the option -v7")
+            raise RecordingError(
+                f"{path}: is a MATLAB 7.3 file; save it again with the option -v7"
+            )
         if order is None:
-            raise RecordingError(f"{path}: is not a MATLAB file of version 5; save it with the option -v7")
+            raise RecordingError(
+                f"{path}: is not a MATLAB file of version 5; save it with the option -v7"
+            )
         try:
             present = list(_variables(file, order))
-            wanted = [_named(path, present, name, width)] if name else _longest(path, present)
+            wanted = (
+                [_named(path, present, name, width)]
+                if name
+                else _longest(path, present)
+            )
             values = sum(math.prod(variable.shape) for variable in wanted)
             if values > _MOST.values:
                 many = f"{', '.join(v.name for v in wanted[: _MOST.shown])} with {values} values"
-                raise RecordingError(f"{path}: has {many}; split it into parts of at most {_MOST.values}")
-            return {v.name: _decode(header + _unpack(file, v, order), v) for v in wanted}
+                raise RecordingError(
+                    f"{path}: has {many}; split it into parts of at most {_MOST.values}"
+                )
+            return {
+                v.name: _decode(header + _unpack(file, v, order), v) for v in wanted
+            }
         except _DamagedError as error:
-            raise RecordingError(f"{path}: is truncated or damaged; copy it again ({error})") from error
+            raise RecordingError(
+                f"{path}: is truncated or damaged; copy it again ({error})"
+            ) from error
 
 
 def _named(path: Path, present: list[_Variable], name: str, width: int) -> _Variable:
@@ -115,20 +129,33 @@ def _named(path: Path, present: list[_Variable], name: str, width: int) -> _Vari
     wanted = next((variable for variable in present if variable.name == name), None)
     if wanted is None:
         ellipsis = ", …" if len(present) > _MOST.shown else ""
-        names = ", ".join(variable.name[:40] for variable in present[: _MOST.shown]) or "nothing"
+        names = (
+            ", ".join(variable.name[:40] for variable in present[: _MOST.shown])
+            or "nothing"
+        )
         raise RecordingError(f"{path}: has no matrix {name}; it has {names}{ellipsis}")
     if not wanted.is_real:
-        raise RecordingError(f"{path}: {name} is not a matrix of real numbers; log it as an array")
+        raise RecordingError(
+            f"{path}: {name} is not a matrix of real numbers; log it as an array"
+        )
     if len(wanted.shape) != 2 or wanted.shape[0] < 0 or wanted.shape[1] != width:
-        raise RecordingError(f"{path}: {name} has the shape {wanted.shape}; it needs {width} columns")
+        raise RecordingError(
+            f"{path}: {name} has the shape {wanted.shape}; it needs {width} columns"
+        )
     return wanted
 
 
 def _longest(path: Path, present: list[_Variable]) -> list[_Variable]:
     """The vectors and matrices with the most rows; scalars are not signals."""
-    tables = [v for v in present if v.is_real and len(v.shape) == 2 and min(v.shape) > 0 and max(v.shape) > 1]
+    tables = [
+        v
+        for v in present
+        if v.is_real and len(v.shape) == 2 and min(v.shape) > 0 and max(v.shape) > 1
+    ]
     if not tables:
-        raise RecordingError(f"{path}: has no vector or matrix of real numbers; save the signals as arrays")
+        raise RecordingError(
+            f"{path}: has no vector or matrix of real numbers; save the signals as arrays"
+        )
     rows = {v: max(v.shape) if 1 in v.shape else v.shape[0] for v in tables}
     return [v for v in tables if rows[v] == max(rows.values())]
 
@@ -200,7 +227,7 @@ def _unpack(file: BinaryIO, wanted: _Variable, order: str) -> bytes:
 
 
 def _decode(content: bytes, wanted: _Variable) -> FloatArray:
-    from scipy.io import loadmat  # noqa: PLC0415 - takes 0.25 s, not needed for sessions
+    from scipy.io import loadmat  # noqa: PLC0415
 
     try:
         loaded = loadmat(BytesIO(content), variable_names=[wanted.name])[wanted.name]  # type: ignore[arg-type]  # it accepts files too

@@ -132,7 +132,9 @@ def moving(output: FloatArray, inputs: Sequence[FloatArray]) -> list[bool]:
 def _effects(means: Sequence[FloatArray]) -> FloatArray:
     """Effects of the inputs on the change of the output to the next block, in standard errors, shape (m,)."""
     output = means[0]
-    table = np.column_stack([np.ones(output.size - 1), output[:-1], *(signal[:-1] for signal in means[1:])])
+    table = np.column_stack(
+        [np.ones(output.size - 1), output[:-1], *(signal[:-1] for signal in means[1:])]
+    )
     scales = np.linalg.norm(table, axis=0)
     scales[scales == 0.0] = 1.0
     table /= scales
@@ -142,5 +144,7 @@ def _effects(means: Sequence[FloatArray]) -> FloatArray:
         return np.zeros(len(means) - 1)
     left = changes - table @ coefficients
     variance = float(left @ left) / max(changes.size - table.shape[1], 1)
-    errors = np.sqrt(np.maximum(variance * np.diag(np.linalg.inv(table.T @ table)), 1e-300))
+    errors = np.sqrt(
+        np.maximum(variance * np.diag(np.linalg.inv(table.T @ table)), 1e-300)
+    )
     return np.asarray(coefficients[2:] / errors[2:], dtype=np.float64)

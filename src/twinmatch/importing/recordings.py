@@ -33,7 +33,12 @@ from twinmatch.plants import Peltier, find_plant
 from twinmatch.plants.files import is_plant_file
 from twinmatch.sampling.sources import INPUT, OUTPUT, REFERENCE, TIME
 from twinmatch.sessions.cdr import plant_messages
-from twinmatch.sessions.files import ProgressCallback, RecordingError, SessionError, open_regular
+from twinmatch.sessions.files import (
+    ProgressCallback,
+    RecordingError,
+    SessionError,
+    open_regular,
+)
 from twinmatch.sessions.messages import SAMPLE, topics_of
 from twinmatch.sessions.reader import Session, named, read_session
 from twinmatch.sessions.recording import samples_of
@@ -56,7 +61,9 @@ _TEMPERATURE: Final = PlantSignal("set", "°C", low=-KELVIN)
 _DRIVE: Final = PlantSignal("held", Peltier.drive.unit, *Peltier.drive.limits)
 
 
-def read_recording(path: Path | str, progress: ProgressCallback | None = None) -> Window:
+def read_recording(
+    path: Path | str, progress: ProgressCallback | None = None
+) -> Window:
     """Read a recording of the rig, as this module describes them, as one window counted from 0.
 
     `progress` is called with the bytes read and the total.
@@ -67,10 +74,20 @@ def read_recording(path: Path | str, progress: ProgressCallback | None = None) -
     """
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES and path.exists():
-        problem = "is a folder; give the file in it" if path.is_dir() else f"has the suffix {path.suffix!r}"
-        raise RecordingError(f"{path}: {problem}; a recording has {' or '.join(_SUFFIXES)}")
+        problem = (
+            "is a folder; give the file in it"
+            if path.is_dir()
+            else f"has the suffix {path.suffix!r}"
+        )
+        raise RecordingError(
+            f"{path}: {problem}; a recording has {' or '.join(_SUFFIXES)}"
+        )
     table = read_table(path, progress, matrix=(_MATRIX, len(_MATRIX_SIGNALS)))
-    titles = _titles(table) if table.units else dict(zip(_MATRIX_SIGNALS, table.columns, strict=True))
+    titles = (
+        _titles(table)
+        if table.units
+        else dict(zip(_MATRIX_SIGNALS, table.columns, strict=True))
+    )
     columns = {signal: table.values(title) for signal, title in titles.items()}
     if table.units:
         require_agreement(table, titles[TIME], Times(columns[TIME], None))
@@ -97,19 +114,30 @@ def _titles(table: Table) -> dict[str, str]:
     """
     titles: dict[str, str] = {}
     for title in table.columns:
-        without_number = re.sub(r" #\d+$", "", title.lower())  # which tells two equal titles apart
+        # which tells two equal titles apart
+        without_number = re.sub(r" #\d+$", "", title.lower())
         name, unit = split_title(without_number)
-        signal = next((signal for signal, names in _NAMES.items() if name in names), None)
+        signal = next(
+            (signal for signal, names in _NAMES.items() if name in names), None
+        )
         if signal is None:
             continue
         if unit and unit not in _UNITS.get(signal, _CELSIUS):
-            wanted = {TIME: "s", INPUT: "steps of −255 to 255, without unit"}.get(signal, "°C")
-            raise RecordingError(f"{table.path}: column {title!r}: give {signal} in {wanted}")
+            wanted = {TIME: "s", INPUT: "steps of −255 to 255, without unit"}.get(
+                signal, "°C"
+            )
+            raise RecordingError(
+                f"{table.path}: column {title!r}: give {signal} in {wanted}"
+            )
         if signal in titles:
             both = f"columns {titles[signal]!r} and {title!r} are both {signal}"
             raise RecordingError(f"{table.path}: {both}; rename or remove one")
         titles[signal] = title
-    missing = [f"{signal} ({', '.join(names)})" for signal, names in _NAMES.items() if signal not in titles]
+    missing = [
+        f"{signal} ({', '.join(names)})"
+        for signal, names in _NAMES.items()
+        if signal not in titles
+    ]
     if missing:
         raise RecordingError(
             f"{table.path}: has no column of {' and none of '.join(missing)}; it has {table.titles}"
@@ -145,18 +173,32 @@ def open_any(
     given = find_plant(plant)
     recorded = session.plant
     if recorded and recorded != given.name and not is_plant_file(recorded):
-        raise SessionError(f"{path}: was recorded from plant {recorded}, not {given.name}; leave --plant out")
+        raise SessionError(
+            f"{path}: was recorded from plant {recorded}, not {given.name}; leave --plant out"
+        )
     return replace(session, plant=given.name)
 
 
 def _open(path: Path, topic: str | None, progress: ProgressCallback | None) -> Session:
     beginning = _beginning(path)
-    if beginning is None or beginning.startswith(MAGIC) or path.suffix.lower() == ".mcap":
+    if (
+        beginning is None
+        or beginning.startswith(MAGIC)
+        or path.suffix.lower() == ".mcap"
+    ):
         return read_session(path, topic, progress)
     if path.suffix.lower() in _SUFFIXES:  # with the messages that its import would have
-        return session_of(path, samples_of(read_recording(path, progress)), plant=Peltier.name)
-    hint = "; a MATLAB file needs the suffix .mat" if beginning.startswith(MAT_BEGINNING) else ""
-    raise SessionError(f"{path}: is neither a session (folder or .mcap) nor a recording (.mat, .csv){hint}")
+        return session_of(
+            path, samples_of(read_recording(path, progress)), plant=Peltier.name
+        )
+    hint = (
+        "; a MATLAB file needs the suffix .mat"
+        if beginning.startswith(MAT_BEGINNING)
+        else ""
+    )
+    raise SessionError(
+        f"{path}: is neither a session (folder or .mcap) nor a recording (.mat, .csv){hint}"
+    )
 
 
 def _beginning(path: Path) -> bytes | None:
@@ -172,7 +214,9 @@ def _beginning(path: Path) -> bytes | None:
         raise SessionError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def session_of(path: Path, samples: list[Sample], *, plant: str, has_reference: bool = True) -> Session:
+def session_of(
+    path: Path, samples: list[Sample], *, plant: str, has_reference: bool = True
+) -> Session:
     """The samples (at least one) of a file as a session, equal to their import.
 
     `has_reference`: whether their set-points are meaningful.

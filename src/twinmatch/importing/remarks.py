@@ -33,7 +33,9 @@ _RULE: Final = _RemarkRule()
 
 
 def remark_rows(
-    titles: Sequence[str], columns: Sequence[FloatArray], texts: Sequence[Mapping[int, str]]
+    titles: Sequence[str],
+    columns: Sequence[FloatArray],
+    texts: Sequence[Mapping[int, str]],
 ) -> list[int]:
     """The rows (from 0) that are remarks.
 
@@ -59,17 +61,25 @@ def remark_rows(
         for row in odd_rows
         if column_texts.get(row, "").strip() == title.strip() != ""
     }
-    remarks = repeats | {row for row in odd_rows if not _has_values(row, columns, texts)}
+    remarks = repeats | {
+        row for row in odd_rows if not _has_values(row, columns, texts)
+    }
     remarks |= _rows_below_titles(columns, texts)
     foot = _RULE.foot if rows >= _RULE.fewest else 0
     for row in range(rows - 1, rows - 1 - foot, -1):
-        if row not in odd_rows or _has_a_date(row, texts) or np.isfinite(columns[0][row]):
+        if (
+            row not in odd_rows
+            or _has_a_date(row, texts)
+            or np.isfinite(columns[0][row])
+        ):
             break
         remarks.add(row)
     return sorted(remarks)
 
 
-def _rows_below_titles(columns: Sequence[FloatArray], texts: Sequence[Mapping[int, str]]) -> set[int]:
+def _rows_below_titles(
+    columns: Sequence[FloatArray], texts: Sequence[Mapping[int, str]]
+) -> set[int]:
     """The first rows, if their first cell is text and that of all others is a number."""
     if not columns or columns[0].size < _RULE.fewest:
         return set()
@@ -78,7 +88,10 @@ def _rows_below_titles(columns: Sequence[FloatArray], texts: Sequence[Mapping[in
     first_texts = texts[0]
     if not is_number[first_row:].all() or first_row > _RULE.foot:
         return set()
-    if any(not first_texts.get(row, "").strip() or is_date(first_texts[row]) for row in range(first_row)):
+    if any(
+        not first_texts.get(row, "").strip() or is_date(first_texts[row])
+        for row in range(first_row)
+    ):
         return set()
     return set(range(first_row))
 
@@ -102,7 +115,9 @@ def _odd_cells(column: FloatArray, texts: Mapping[int, str]) -> Iterable[int]:
     return odd_rows
 
 
-def _has_values(row: int, columns: Sequence[FloatArray], texts: Sequence[Mapping[int, str]]) -> bool:
+def _has_values(
+    row: int, columns: Sequence[FloatArray], texts: Sequence[Mapping[int, str]]
+) -> bool:
     """Whether a row has a number or a date."""
     if any(np.isfinite(column[row]) for column in columns):
         return True
@@ -110,4 +125,6 @@ def _has_values(row: int, columns: Sequence[FloatArray], texts: Sequence[Mapping
 
 
 def _has_a_date(row: int, texts: Sequence[Mapping[int, str]]) -> bool:
-    return any(row in column_texts and is_date(column_texts[row]) for column_texts in texts)
+    return any(
+        row in column_texts and is_date(column_texts[row]) for column_texts in texts
+    )

@@ -100,7 +100,11 @@ class Resampled:
     @property
     def stretches(self) -> list[slice]:
         """The stretches of samples without a gap, in their order."""
-        ends = [0, *(np.flatnonzero(np.diff(self.index) != 1) + 1).tolist(), self.index.size]
+        ends = [
+            0,
+            *(np.flatnonzero(np.diff(self.index) != 1) + 1).tolist(),
+            self.index.size,
+        ]
         return [slice(*pair) for pair in pairwise(ends)]
 
     @property
@@ -119,7 +123,9 @@ class Resampled:
             f"period of {self.period:g} s; jitter {self.jitter:.2g} s (RMS)"
         )
         if self.bridged:
-            places = "one place" if len(self.bridged) == 1 else f"{len(self.bridged)} places"
+            places = (
+                "one place" if len(self.bridged) == 1 else f"{len(self.bridged)} places"
+            )
             text += f"; rows are missing at {places}"
         return text + self._splits
 
@@ -137,7 +143,9 @@ class Resampled:
 
 def _list(steps: list[float]) -> str:
     """The sizes of the first three steps."""
-    return ", ".join(f"{abs(step):.4g}" for step in steps[:3]) + (", …" if len(steps) > 3 else "")
+    return ", ".join(f"{abs(step):.4g}" for step in steps[:3]) + (
+        ", …" if len(steps) > 3 else ""
+    )
 
 
 def complete_rows(*columns: FloatArray) -> NDArray[np.intp]:
@@ -201,13 +209,18 @@ def resample(
     clocks = []
     pieces = []
     squares = 0.0
-    for stretch, rows in zip(stretches, np.split(np.arange(stamps.size), cuts + 1), strict=True):
+    for stretch, rows in zip(
+        stretches, np.split(np.arange(stamps.size), cuts + 1), strict=True
+    ):
         clock, on_clock = _clock(stretch, period)
         piece = {name: column[rows] for name, column in values.items()}
         if not on_clock:
             ticks = (stretch - clock[0]) / period
             squares += float(np.sum(np.square(ticks - np.rint(ticks))))
-            piece = {name: _RESAMPLERS[kinds[name]](stretch, v, clock, period) for name, v in piece.items()}
+            piece = {
+                name: _RESAMPLERS[kinds[name]](stretch, v, clock, period)
+                for name, v in piece.items()
+            }
         clocks.append(clock)
         pieces.append(piece)
     resampled = {}
@@ -221,13 +234,19 @@ def resample(
         rows=stamps.size,
         steps=(float(bridged_steps.min()), usual, float(bridged_steps.max())),
         jitter=period * float(np.sqrt(squares / stamps.size)),
-        bridged=tuple(np.flatnonzero((steps > _STEPS.without_loss * usual) & is_bridged).tolist()),
+        bridged=tuple(
+            np.flatnonzero((steps > _STEPS.without_loss * usual) & is_bridged).tolist()
+        ),
         gaps=tuple(steps[cuts].tolist()),
     )
 
 
 def period_of_ticks(
-    time: FloatArray, columns: Mapping[str, FloatArray], *, place: str, row: Callable[[int], str]
+    time: FloatArray,
+    columns: Mapping[str, FloatArray],
+    *,
+    place: str,
+    row: Callable[[int], str],
 ) -> float:
     """Sampling period, s, of rows that are the ticks of a loop, so that they need no resampling.
 
@@ -266,7 +285,9 @@ def second_pace(stamps: FloatArray) -> float | None:
     steps = np.diff(stamps)
     forward = steps[steps > 0]
     longer = forward[forward > _STEPS.bridged * usual_step(steps)]
-    if longer.size <= max(_STEPS.fewest_of_a_pace, _STEPS.share_of_a_pace * forward.size):
+    if longer.size <= max(
+        _STEPS.fewest_of_a_pace, _STEPS.share_of_a_pace * forward.size
+    ):
         return None
     pace = float(np.quantile(longer, _STEPS.most_of_a_pace, method="lower"))
     return math.ceil(1.02 * pace) if pace > 10.0 else float(f"{1.05 * pace:.2g}")
@@ -278,7 +299,11 @@ def usual_period(lag: float, row_period: float) -> float:
         return row_period
     wanted = lag / _STEPS.per_lag
     decade = 10.0 ** math.floor(math.log10(wanted))
-    return next(float(f"{step * decade:.1g}") for step in (5.0, 2.0, 1.0) if step * decade <= wanted)
+    return next(
+        float(f"{step * decade:.1g}")
+        for step in (5.0, 2.0, 1.0)
+        if step * decade <= wanted
+    )
 
 
 def usual_step(steps: FloatArray) -> float:
@@ -292,7 +317,8 @@ def _indices(clocks: list[FloatArray], period: float) -> NDArray[np.int64]:
     """Indices of the samples: consecutive within a stretch; missing periods between stretches are skipped."""
     indices = [np.arange(clocks[0].size)]
     for before, clock in pairwise(clocks):
-        increment = max(round(float(clock[0] - before[-1]) / period), 2)  # a clock set back skips one, too
+        # a clock set back skips one, too
+        increment = max(round(float(clock[0] - before[-1]) / period), 2)
         indices.append(indices[-1][-1] + increment + np.arange(clock.size))
     return np.concatenate(indices).astype(np.int64)
 
@@ -306,13 +332,19 @@ def _checked(
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Times and columns as arrays, once shapes, kinds and values are those that `resample` needs."""
     stamps = np.asarray(time, dtype=np.float64)
-    values = {name: np.asarray(column, dtype=np.float64) for name, column in columns.items()}
+    values = {
+        name: np.asarray(column, dtype=np.float64) for name, column in columns.items()
+    }
     if stamps.ndim != 1 or stamps.size < 2:
-        raise RecordingError(f"{place}: has {stamps.size} rows; at least two are needed")
+        raise RecordingError(
+            f"{place}: has {stamps.size} rows; at least two are needed"
+        )
     for name, column in values.items():
         if name not in kinds or kinds[name] not in _RESAMPLERS:
             allowed = ", ".join(_RESAMPLERS)
-            raise RecordingError(f"{place}: the kind of column {name} is missing; give one of {allowed}")
+            raise RecordingError(
+                f"{place}: the kind of column {name} is missing; give one of {allowed}"
+            )
         if column.shape != stamps.shape:
             msg = f"{place}: {name} has the shape {column.shape}, time {stamps.shape}; they must be equal"
             raise RecordingError(msg)
@@ -336,7 +368,11 @@ def _refuse_standing(
     if refused.size:
         first = int(refused[0])
         rows_per_time = np.median(np.unique(stamps, return_counts=True)[1])
-        is_rounded = rows_per_time > 1 and steps.size >= _FEWEST_ROUNDED and not (steps < 0).any()
+        is_rounded = (
+            rows_per_time > 1
+            and steps.size >= _FEWEST_ROUNDED
+            and not (steps < 0).any()
+        )
         if is_rounded:
             mean = float(f"{usual_step(steps) / rows_per_time:.3g}")
             raise RecordingError(
@@ -354,7 +390,11 @@ def _refuse_standing(
 
 
 def _refuse_gap(
-    stamps: FloatArray, cuts: NDArray[np.intp], limit: float, place: str, row: Callable[[int], str]
+    stamps: FloatArray,
+    cuts: NDArray[np.intp],
+    limit: float,
+    place: str,
+    row: Callable[[int], str],
 ) -> None:
     """Refuse the steps after these rows (times `stamps`, s), which are longer than `limit`."""
     first = int(cuts[0])
@@ -373,7 +413,9 @@ def _refuse_gap(
     )
 
 
-def _default_period(stretches: list[FloatArray], steps: FloatArray, usual: float) -> float:
+def _default_period(
+    stretches: list[FloatArray], steps: FloatArray, usual: float
+) -> float:
     """The roundest period that the rows keep exactly, or else the roundest within `ROUNDED` of their mean.
 
     `steps` are those between rows within the stretches, s; those with lost rows count as several periods.
@@ -398,7 +440,9 @@ def _clock(stamps: FloatArray, period: float) -> tuple[FloatArray, bool]:
     """The ticks from the first row on, s, and whether the rows are on them."""
     ticks = round(float(np.floor((stamps[-1] - stamps[0]) / period + _ON_CLOCK))) + 1
     clock = stamps[0] + period * np.arange(ticks)
-    on_clock = clock.size == stamps.size and bool(np.all(np.abs(stamps - clock) <= _ON_CLOCK * period))
+    on_clock = clock.size == stamps.size and bool(
+        np.all(np.abs(stamps - clock) <= _ON_CLOCK * period)
+    )
     return clock, on_clock
 
 
@@ -409,13 +453,19 @@ def _resampled_reading(
     return np.asarray(np.interp(clock, stamps, values), dtype=np.float64)
 
 
-def _resampled_held(stamps: FloatArray, values: FloatArray, clock: FloatArray, period: float) -> FloatArray:
+def _resampled_held(
+    stamps: FloatArray, values: FloatArray, clock: FloatArray, period: float
+) -> FloatArray:
     """The mean of a column that is held from row to row, over the period after each tick."""
     return held_means(stamps, values, clock, clock + period, period)
 
 
 def held_means(
-    stamps: FloatArray, values: FloatArray, begins: FloatArray, ends: FloatArray, widths: FloatArray | float
+    stamps: FloatArray,
+    values: FloatArray,
+    begins: FloatArray,
+    ends: FloatArray,
+    widths: FloatArray | float,
 ) -> FloatArray:
     """Means of a held input from `begins` to `ends`, so many s (`widths`) later, each of shape (M,).
 
@@ -432,13 +482,19 @@ def held_means(
     return np.asarray(np.clip(means, values.min(), values.max()), dtype=np.float64)
 
 
-def _resampled_set(stamps: FloatArray, values: FloatArray, clock: FloatArray, _period: float) -> FloatArray:
+def _resampled_set(
+    stamps: FloatArray, values: FloatArray, clock: FloatArray, _period: float
+) -> FloatArray:
     """The value of the row that is nearest to each tick."""
     between = (stamps[1:] + stamps[:-1]) / 2
-    return np.asarray(values[np.searchsorted(between, clock, side="left")], dtype=np.float64)
+    return np.asarray(
+        values[np.searchsorted(between, clock, side="left")], dtype=np.float64
+    )
 
 
-_RESAMPLERS: Final[Mapping[Kind, Callable[[FloatArray, FloatArray, FloatArray, float], FloatArray]]] = {
+_RESAMPLERS: Final[
+    Mapping[Kind, Callable[[FloatArray, FloatArray, FloatArray, float], FloatArray]]
+] = {
     "reading": _resampled_reading,
     "held": _resampled_held,
     "set": _resampled_set,

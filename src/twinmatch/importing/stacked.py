@@ -85,7 +85,9 @@ class SeriesTable(Table):
             RecordingError: no column matches, or several do.
         """
         plain = re.sub(r"\s*([=,\[\]])\s*", r"\1", name.strip()).lower()
-        titles = [title for title, spellings in self._spellings.items() if plain in spellings]
+        titles = [
+            title for title, spellings in self._spellings.items() if plain in spellings
+        ]
         if len(titles) == 1:
             return titles[0]
         return super().find(name)
@@ -98,7 +100,9 @@ class SeriesTable(Table):
             values = ",".join(part.rpartition("=")[2] for part in name.split(", "))
             column = title.partition("[")[0]
             ways = {title, name, values, f"{column}[{values}]"}
-            spellings[title] = {re.sub(r"\s*([=,\[\]])\s*", r"\1", way).lower() for way in ways}
+            spellings[title] = {
+                re.sub(r"\s*([=,\[\]])\s*", r"\1", way).lower() for way in ways
+            }
         return spellings
 
     def own_values(self, title: str) -> FloatArray:
@@ -106,7 +110,9 @@ class SeriesTable(Table):
         values = self.values(title)
         return values[self.places_of[title]] if title in self.places_of else values
 
-    def at_rows_of(self, clock: str, kinds: Mapping[str, Kind], times: Times) -> tuple[Table, Times]:
+    def at_rows_of(
+        self, clock: str, kinds: Mapping[str, Kind], times: Times
+    ) -> tuple[Table, Times]:
         """Some columns at the rows of one of them, as a table whose rows have all values.
 
         Args:
@@ -122,13 +128,23 @@ class SeriesTable(Table):
         columns = {}
         for title, kind in kinds.items():
             series_rows = self._rising(title, times.seconds)
-            series = _Series(times.seconds[series_rows], self.values(title)[series_rows])
+            series = _Series(
+                times.seconds[series_rows], self.values(title)[series_rows]
+            )
             columns[title] = (
-                series.newest(seconds) if self.is_held and kind != "held" else series.at(seconds, kind)
+                series.newest(seconds)
+                if self.is_held and kind != "held"
+                else series.at(seconds, kind)
             )
         lines = [self.lines[row] for row in own_rows]
         table = Table(
-            self.path, columns, lines, self.row, units=False, cell_units=self.cell_units, notes=self.notes
+            self.path,
+            columns,
+            lines,
+            self.row,
+            units=False,
+            cell_units=self.cell_units,
+            notes=self.notes,
         )
         return table, times._replace(seconds=seconds)
 
@@ -137,7 +153,11 @@ class SeriesTable(Table):
         rows = self.places_of[title]
         rows = rows[np.isfinite(seconds[rows])]
         rows = rows[np.argsort(seconds[rows], kind="stable")]
-        is_last = np.append(np.diff(seconds[rows]) > 0, True) if rows.size else np.zeros(0, dtype=np.bool_)
+        is_last = (
+            np.append(np.diff(seconds[rows]) > 0, True)
+            if rows.size
+            else np.zeros(0, dtype=np.bool_)
+        )
         return np.asarray(rows[is_last])
 
 
@@ -173,18 +193,24 @@ class _Series(NamedTuple):
         ends = np.where(ends - times > bridged_up_to(times), times + usual, ends)
         missing = np.isnan(self.values).astype(np.float64)
         share_missing = held_means(self.times, missing, times, ends, ends - times)
-        means = held_means(self.times, np.nan_to_num(self.values), times, ends, ends - times)
+        means = held_means(
+            self.times, np.nan_to_num(self.values), times, ends, ends - times
+        )
         return np.where((share_missing < 1e-9) & np.isfinite(newest), means, np.nan)
 
 
-def _with_standing_values(seconds: FloatArray, rows: NDArray[np.intp]) -> tuple[FloatArray, NDArray[np.intp]]:
+def _with_standing_values(
+    seconds: FloatArray, rows: NDArray[np.intp]
+) -> tuple[FloatArray, NDArray[np.intp]]:
     """Times with usual steps in pauses, in which a value stands, and the row that applies at each."""
     usual = usual_step(np.diff(seconds))
     if not np.isfinite(usual):
         return seconds, rows
     times = []
     places = []
-    for row, begin, end in zip(rows, seconds, [*seconds[1:], seconds[-1] + usual], strict=True):
+    for row, begin, end in zip(
+        rows, seconds, [*seconds[1:], seconds[-1] + usual], strict=True
+    ):
         count = max(int((end - begin) / usual - 0.5), 0) + 1
         times.append(begin + usual * np.arange(count))
         places.append(np.full(count, row))
@@ -241,23 +267,31 @@ def taken_apart(table: Table, units: Mapping[str, str] | None = None) -> Table:
     else:
         names = _names(table, (time,), times[time])
         values = [
-            title for title in table.columns if title not in (*names, *times) and _is_numeric(table, title)
+            title
+            for title in table.columns
+            if title not in (*names, *times) and _is_numeric(table, title)
         ]
         if not names or np.unique(_codes(table, names)).size < 2:
             return table
     if not names or not values:
         return table
-    return _series_table(table, _Stack(time, tuple(values), names), times[time], units or {})
+    return _series_table(
+        table, _Stack(time, tuple(values), names), times[time], units or {}
+    )
 
 
 def _is_numeric(table: Table, title: str) -> bool:
     """Whether a column has more numbers than texts."""
-    return bool(np.isfinite(table.columns[title]).sum() > len(table.texts.get(title, {})))
+    return bool(
+        np.isfinite(table.columns[title]).sum() > len(table.texts.get(title, {}))
+    )
 
 
 def _times(table: Table, title: str) -> FloatArray | None:
     """The times in a column with several of them; None if it has none."""
-    has_name = re.search(r"time|stamp|date|last_|^t$|^ts$", title, re.IGNORECASE) is not None
+    has_name = (
+        re.search(r"time|stamp|date|last_|^t$|^ts$", title, re.IGNORECASE) is not None
+    )
     if not (has_name or table.texts.get(title)):
         return None
     try:
@@ -267,7 +301,9 @@ def _times(table: Table, title: str) -> FloatArray | None:
     return seconds if np.unique(seconds[np.isfinite(seconds)]).size > 1 else None
 
 
-def _names(table: Table, others: tuple[str, ...], seconds: FloatArray) -> tuple[str, ...]:
+def _names(
+    table: Table, others: tuple[str, ...], seconds: FloatArray
+) -> tuple[str, ...]:
     """The columns that name the series: one alone if its series have rising times, or else all.
 
     `others` are the columns of times and values.
@@ -281,7 +317,9 @@ def _names(table: Table, others: tuple[str, ...], seconds: FloatArray) -> tuple[
     most = min(_RULE.most, rows / _RULE.rows)
     varying = [title for title, count in counts.items() if count <= most]
     titled = [title for title in varying if _NAMES.match(title.strip())]
-    for title in sorted(titled, key=lambda title: (title.lower() != "_field", -counts[title])):
+    for title in sorted(
+        titled, key=lambda title: (title.lower() != "_field", -counts[title])
+    ):
         if _rises_within(_codes(table, (title,)), seconds):
             return (title,)
     several = tuple(title for title in varying if counts[title] > 1)
@@ -299,7 +337,11 @@ def _labels(table: Table, title: str) -> list[str]:
     column = table.columns[title]
     if texts:
         return [texts.get(row, "").strip() for row in range(column.size)]
-    if _NAMES.match(title.strip()) is None or not np.isfinite(column).all() or (column % 1.0).any():
+    if (
+        _NAMES.match(title.strip()) is None
+        or not np.isfinite(column).all()
+        or (column % 1.0).any()
+    ):
         return []
     return [f"{value:g}" for value in column.tolist()]
 
@@ -308,7 +350,9 @@ def _codes(table: Table, names: tuple[str, ...]) -> NDArray[np.intp]:
     """A number for each row that tells its series, shape (N,)."""
     numbers: dict[tuple[str, ...], int] = {}
     keys = zip(*(_labels(table, title) for title in names), strict=True)
-    return np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.intp)
+    return np.array(
+        [numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.intp
+    )
 
 
 def _rises_within(codes: NDArray[np.intp], seconds: FloatArray) -> bool:
@@ -319,13 +363,17 @@ def _rises_within(codes: NDArray[np.intp], seconds: FloatArray) -> bool:
     return bool(np.sum(same_series & same_time) <= _RULE.repeats * codes.size)
 
 
-def _series_table(table: Table, stack: _Stack, seconds: FloatArray, units: Mapping[str, str]) -> SeriesTable:
+def _series_table(
+    table: Table, stack: _Stack, seconds: FloatArray, units: Mapping[str, str]
+) -> SeriesTable:
     codes = _codes(table, stack.names)
     order = np.lexsort((seconds, codes))
     firsts = np.flatnonzero(np.diff(codes[order], prepend=-1))
     labels = {title: _labels(table, title) for title in stack.names}
     others = table.texts.keys() - {*stack.names, *stack.values, stack.time}
-    has_other_names = any(title == "_measurement" or _NAMES.match(title.strip()) for title in others)
+    has_other_names = any(
+        title == "_measurement" or _NAMES.match(title.strip()) for title in others
+    )
     columns = {}
     places_of = {}
     names = {}
@@ -339,7 +387,11 @@ def _series_table(table: Table, stack: _Stack, seconds: FloatArray, units: Mappi
             title = f"{value}[{series}]"
             columns[title] = table.columns[value]
             places_of[title] = rows
-            names[title] = series if len(stack.values) == 1 else f"{series}.{split_title(value)[0]}"
+            names[title] = (
+                series
+                if len(stack.values) == 1
+                else f"{series}.{split_title(value)[0]}"
+            )
             series_texts = _texts_in(table, value, rows)
             if series_texts:
                 texts[title] = series_texts

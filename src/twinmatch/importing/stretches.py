@@ -65,7 +65,9 @@ class Stretches(NamedTuple):
         A clock that is set back shows in each channel between two of its messages. The clock is taken to have
         been set back as rarely as explains the steps back of all channels.
         """
-        steps_back = (step for channel in channels for step in channel.steps_back(usual))
+        steps_back = (
+            step for channel in channels for step in channel.steps_back(usual)
+        )
         places = np.array([-math.inf, *_fewest_moments(steps_back)])
         all_places = np.concatenate([channel.places for channel in channels])
         all_times = np.concatenate([channel.times for channel in channels])
@@ -81,7 +83,9 @@ class Stretches(NamedTuple):
 
     def put(self, channel: PlacedTimes) -> FloatArray:
         """The times of a channel's messages once the stretches are put one after another."""
-        return np.asarray(channel.times + self.shifts[_stretch_of(self.places, channel.places)])
+        return np.asarray(
+            channel.times + self.shifts[_stretch_of(self.places, channel.places)]
+        )
 
     def taken_back(self, times: FloatArray) -> FloatArray:
         """The times by the clock that belong to times given by `put`."""

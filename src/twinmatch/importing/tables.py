@@ -30,11 +30,23 @@ import numpy as np
 
 from twinmatch.importing.annotated import is_annotation, joined_tables
 from twinmatch.importing.cells import Cells, number
-from twinmatch.importing.heads import SPACES, Line, head_of, split_title, with_units, with_whole_quotes
+from twinmatch.importing.heads import (
+    SPACES,
+    Line,
+    head_of,
+    split_title,
+    with_units,
+    with_whole_quotes,
+)
 from twinmatch.importing.json_rows import begins_as_json, table_of_objects
 from twinmatch.importing.matlab import read_matrices
 from twinmatch.importing.remarks import remark_rows
-from twinmatch.sessions.files import ProgressCallback, RecordingError, lines_of, open_regular
+from twinmatch.sessions.files import (
+    ProgressCallback,
+    RecordingError,
+    lines_of,
+    open_regular,
+)
 from twinmatch.signals import FloatArray
 
 __all__ = ["LIMITS", "TEXTS", "Table", "number", "read_table", "split_title"]
@@ -65,7 +77,19 @@ class TableLimits:
 
 LIMITS: Final = TableLimits()
 TEXTS: Final = frozenset(
-    {".csv", ".tsv", ".txt", ".dat", ".log", ".asc", ".prn", ".lvm", ".json", ".jsonl", ".ndjson"}
+    {
+        ".csv",
+        ".tsv",
+        ".txt",
+        ".dat",
+        ".log",
+        ".asc",
+        ".prn",
+        ".lvm",
+        ".json",
+        ".jsonl",
+        ".ndjson",
+    }
 )
 """Suffixes of tables that are text, in small letters."""
 _POINT: Final = re.compile(r"\s*[-+]?[\d,]*\d\.\d+\s*")
@@ -118,12 +142,16 @@ class Table:
             if titles:
                 msg = f"{self.path}: {name!r} may be {' or '.join(map(repr, titles))}; give its full title"
                 raise RecordingError(msg)
-        raise RecordingError(f"{self.path}: has no column {name!r}; it has {self.titles}")
+        raise RecordingError(
+            f"{self.path}: has no column {name!r}; it has {self.titles}"
+        )
 
     @property
     def titles(self) -> str:
         """The titles, for messages."""
-        return ", ".join(repr(title[:40]) for title in list(self.columns)[:30]) or "none"
+        return (
+            ", ".join(repr(title[:40]) for title in list(self.columns)[:30]) or "none"
+        )
 
     def values(self, title: str) -> FloatArray:
         """The numbers of a column, shape (N,); nan for cells without a value.
@@ -153,7 +181,10 @@ class Table:
 
 
 def read_table(
-    path: Path, progress: ProgressCallback | None = None, *, matrix: tuple[str, int] | None = None
+    path: Path,
+    progress: ProgressCallback | None = None,
+    *,
+    matrix: tuple[str, int] | None = None,
 ) -> Table:
     """Read the columns of a file.
 
@@ -177,7 +208,9 @@ def read_table(
     except FileNotFoundError:
         raise RecordingError(f"{path}: does not exist") from None
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from error
+        raise RecordingError(
+            f"{path}: cannot be read ({error.strerror or error})"
+        ) from error
     raise RecordingError(
         f"{path}: has the suffix {path.suffix!r}; a table is text ({', '.join(sorted(TEXTS))}) or .mat"
     )
@@ -195,10 +228,14 @@ def _read_mat(path: Path, matrix: tuple[str, int] | None) -> Table:
     return Table(path, columns, range(1, length + 1), row="row", units=False)
 
 
-def _read_csv(path: Path, first_bytes: bytes, progress: ProgressCallback | None) -> Table:
+def _read_csv(
+    path: Path, first_bytes: bytes, progress: ProgressCallback | None
+) -> Table:
     """The table in UTF-8, in UTF-16 with a byte-order mark, or in the encoding of Western Windows."""
     if first_bytes == _ARCHIVE:
-        raise RecordingError(f"{path}: is a ZIP archive, such as an Excel workbook; save the table as CSV")
+        raise RecordingError(
+            f"{path}: is a ZIP archive, such as an Excel workbook; save the table as CSV"
+        )
     for encoding in (_BYTE_ORDER_MARKS.get(first_bytes[:2], "utf-8-sig"), _WESTERN):
         try:
             remarks: list[Line] = []
@@ -206,7 +243,9 @@ def _read_csv(path: Path, first_bytes: bytes, progress: ProgressCallback | None)
         except UnicodeError:
             continue
         except csv.Error as error:
-            raise RecordingError(f"{path}: cannot be read as a table ({error})") from None
+            raise RecordingError(
+                f"{path}: cannot be read as a table ({error})"
+            ) from None
     raise _not_text(path)
 
 
@@ -254,15 +293,21 @@ def _parse(path: Path, lines: Iterator[Line], remarks: Sequence[Line]) -> Table:
         head = head._replace(lines=list(_with_tabs(iter(head.lines))))
     (titles_line, titles), *beginning = _rows(path, iter(head.lines), separator)
     _check_titles(path, titles)
-    titles, unit_lines = with_units(titles, [cells for _, cells in beginning[:_LINES_BELOW]])
+    titles, unit_lines = with_units(
+        titles, [cells for _, cells in beginning[:_LINES_BELOW]]
+    )
     decimal = _decimal([cells for _, cells in beginning], quoted=separator == ",")
     first_rows = beginning[unit_lines:]
-    has_point = decimal == "." and any(_POINT.fullmatch(cell) for _, row in first_rows for cell in row)
+    has_point = decimal == "." and any(
+        _POINT.fullmatch(cell) for _, row in first_rows for cell in row
+    )
     table_cells = Cells(len(titles), separator, decimal, thousands=has_point)
     table_cells.take_rows(first_rows)
     while block := list(islice(lines, _BLOCK)):
         if not table_cells.take_plain(block):
-            table_cells.take_rows(_rows(path, iter(block), separator, header=(titles_line, len(titles))))
+            table_cells.take_rows(
+                _rows(path, iter(block), separator, header=(titles_line, len(titles)))
+            )
     return _table_of(path, _distinct(titles), table_cells, head.notes)
 
 
@@ -272,25 +317,37 @@ def _with_tabs(lines: Iterator[Line]) -> Iterator[Line]:
         yield Line(line.place, "\t".join(line.text.split()))
 
 
-def _table_of(path: Path, titles: Sequence[str], cells: Cells, notes: Sequence[str]) -> Table:
+def _table_of(
+    path: Path, titles: Sequence[str], cells: Cells, notes: Sequence[str]
+) -> Table:
     """The table of these cells, without the rows that are remarks."""
     columns = cells.columns()
     all_texts = cells.texts
     places = cells.places
     remarks = remark_rows(titles, columns, all_texts)
     if remarks:
-        notes = [*notes, *(_note(places[row], row, all_texts) for row in remarks[:_REMARKS_NAMED])]
+        notes = [
+            *notes,
+            *(_note(places[row], row, all_texts) for row in remarks[:_REMARKS_NAMED]),
+        ]
         if len(remarks) > _REMARKS_NAMED:
-            notes.append(f"{len(remarks) - _REMARKS_NAMED} further lines of text are left out.")
+            notes.append(
+                f"{len(remarks) - _REMARKS_NAMED} further lines of text are left out."
+            )
         kept = np.setdiff1d(np.arange(len(places)), remarks)
         columns = [column[kept] for column in columns]
         new_rows = dict(zip(kept.tolist(), range(kept.size), strict=True))
         all_texts = [
-            {new_rows[row]: text for row, text in texts.items() if row in new_rows} for texts in all_texts
+            {new_rows[row]: text for row, text in texts.items() if row in new_rows}
+            for texts in all_texts
         ]
         places = array("q", [places[row] for row in kept])
-    texts = {title: texts for title, texts in zip(titles, all_texts, strict=True) if texts}
-    units = {title: unit for title, unit in zip(titles, cells.units, strict=True) if unit}
+    texts = {
+        title: texts for title, texts in zip(titles, all_texts, strict=True) if texts
+    }
+    units = {
+        title: unit for title, unit in zip(titles, cells.units, strict=True) if unit
+    }
     return Table(
         path,
         dict(zip(titles, columns, strict=True)),
@@ -320,7 +377,10 @@ def _check_titles(path: Path, titles: Sequence[str]) -> None:
 
 
 def _rows(
-    path: Path, lines: Iterator[Line], separator: str, header: tuple[int, int] | None = None
+    path: Path,
+    lines: Iterator[Line],
+    separator: str,
+    header: tuple[int, int] | None = None,
 ) -> Iterator[tuple[int, list[str]]]:
     """The cells of each line, as many as the column names, with its place.
 
@@ -332,13 +392,15 @@ def _rows(
 
     def texts() -> Iterator[str]:
         nonlocal place
-        for place, line in lines:  # noqa: B007 - read below
+        for place, line in lines:  # noqa: B007
             yield line
 
     reader = csv.reader(texts(), delimiter=separator, skipinitialspace=True)
     for count, cells in enumerate(reader, 1):
         if reader.line_num > count:
-            raise RecordingError(f"{path}: a quoted cell spans several lines; write it without line breaks")
+            raise RecordingError(
+                f"{path}: a quoted cell spans several lines; write it without line breaks"
+            )
         if count == 1 and header is None:
             header_line = place
             width = len(cells)

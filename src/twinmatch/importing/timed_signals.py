@@ -65,7 +65,9 @@ class TimedSignal(NamedTuple):
 
     def held(self, times: FloatArray) -> FloatArray:
         """The last value at or before each of these times; before the first value, that one."""
-        return self.values[np.maximum(np.searchsorted(self.times, times, side="right") - 1, 0)]
+        return self.values[
+            np.maximum(np.searchsorted(self.times, times, side="right") - 1, 0)
+        ]
 
     def newest(self, times: FloatArray) -> FloatArray:
         """The last value at or before each of these times; none of them may be before the first value."""
@@ -90,7 +92,9 @@ class TimedSignal(NamedTuple):
         `reading_times` are those of the readings, s; `longest` is as in `means`.
         """
         steps = np.diff(self.times)
-        if self.times.size < _PERIODIC.fewest_messages or not self._is_periodic(steps, reading_times):
+        if self.times.size < _PERIODIC.fewest_messages or not self._is_periodic(
+            steps, reading_times
+        ):
             return
         usual = max(usual_step(steps), usual_step(np.diff(reading_times)))
         limit = bridged_up_to(np.array([0.0, usual]), longest)
@@ -100,7 +104,9 @@ class TimedSignal(NamedTuple):
             yield Hole(float(self.times[k]) + usual, float(next_times[k]))
 
     def _is_periodic(self, steps: FloatArray, reading_times: FloatArray) -> bool:
-        longest_regular = max(_PERIODIC.longest_regular * usual_step(steps), bridged_up_to(reading_times))
+        longest_regular = max(
+            _PERIODIC.longest_regular * usual_step(steps), bridged_up_to(reading_times)
+        )
         return bool(np.quantile(steps, _PERIODIC.regular_share) <= longest_regular)
 
 
@@ -116,7 +122,9 @@ def rising_signal(
     """
     is_number = np.isfinite(values)
     if not is_number.any():
-        raise RecordingError(f"{path}: no message of {name} has a number; map another field")
+        raise RecordingError(
+            f"{path}: no message of {name} has a number; map another field"
+        )
     order = np.argsort(times[is_number], kind="stable")
     sorted_times = times[is_number][order]
     sorted_values = values[is_number][order]

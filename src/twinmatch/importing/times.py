@@ -19,7 +19,14 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.importing.dates import clock_seconds, from_iso, in_order, is_local, is_two_numbers, order_of
+from twinmatch.importing.dates import (
+    clock_seconds,
+    from_iso,
+    in_order,
+    is_local,
+    is_two_numbers,
+    order_of,
+)
 from twinmatch.importing.tables import Table
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
@@ -88,11 +95,15 @@ def read_times(table: Table, title: str, unit: str = "", scale: float = 1.0) -> 
         per_second = _per_second(table, title, unit)
     else:
         _require_no_days(table, title, values)
-        per_second = next((count for least, count in _UNITS_SINCE_1970 if largest >= least), 1.0)
+        per_second = next(
+            (count for least, count in _UNITS_SINCE_1970 if largest >= least), 1.0
+        )
     if per_second == 1.0 / _DAY and _may_be_days(values):
         return _since((values - _EPOCH_IN_DAYS) * _DAY)
     if largest / per_second >= _SINCE_1970:
-        counted_since = _FROM_1904_TO_1970 if largest / per_second >= _SINCE_1904 else 0.0
+        counted_since = (
+            _FROM_1904_TO_1970 if largest / per_second >= _SINCE_1904 else 0.0
+        )
         return _since(values / per_second - counted_since)
     return Times(values / per_second, None)
 
@@ -105,7 +116,11 @@ def read_date_and_time(table: Table, date_title: str, time_title: str) -> Times:
     """
     dates = table.texts.get(date_title, {})
     clocks = table.texts.get(time_title, {})
-    joined = {row: f"{dates[row].strip()} {clocks[row].strip()}" for row in dates if row in clocks}
+    joined = {
+        row: f"{dates[row].strip()} {clocks[row].strip()}"
+        for row in dates
+        if row in clocks
+    }
     both = f"{date_title}, {time_title}"
     if not joined:
         raise RecordingError(
@@ -113,14 +128,23 @@ def read_date_and_time(table: Table, date_title: str, time_title: str) -> Times:
             "one column to time"
         )
     empty = np.full(len(table.lines), np.nan)
-    joined_table = Table(table.path, {both: empty}, table.lines, table.row, {both: joined})
+    joined_table = Table(
+        table.path, {both: empty}, table.lines, table.row, {both: joined}
+    )
     return _times_of_texts(joined_table, both, joined, "")
 
 
-def _times_of_texts(table: Table, title: str, texts: Mapping[int, str], unit: str) -> Times:
+def _times_of_texts(
+    table: Table, title: str, texts: Mapping[int, str], unit: str
+) -> Times:
     first_text = next((text for text in texts.values() if text.strip()), "")
     if _is_clock(first_text):
-        return Times(_past_midnight(_clock_column(table, title, texts, _first_unit(title, unit))), None)
+        return Times(
+            _past_midnight(
+                _clock_column(table, title, texts, _first_unit(title, unit))
+            ),
+            None,
+        )
     order = order_of(texts.values()) if is_local(first_text) else ""
     return _since(_dates(table, title, texts, order))._replace(order=order)
 
@@ -138,7 +162,9 @@ def _first_unit(title: str, unit: str) -> str:
     return "h" if re.search(r"\bh+:m+", words) or unit == "h" else ""
 
 
-def _clock_column(table: Table, title: str, texts: Mapping[int, str], first_unit: str) -> FloatArray:
+def _clock_column(
+    table: Table, title: str, texts: Mapping[int, str], first_unit: str
+) -> FloatArray:
     """Seconds of durations or times of day, shape (N,).
 
     Raises:
@@ -201,13 +227,19 @@ def is_since_1970(values: FloatArray) -> bool:
 def _may_be_days(values: FloatArray) -> bool:
     """Whether all are days of a spreadsheet from 2000 to 2100."""
     finite = values[np.isfinite(values)]
-    return bool(finite.size) and bool((finite >= _LIKELY_DAYS[0]).all() and (finite < _LIKELY_DAYS[1]).all())
+    return bool(finite.size) and bool(
+        (finite >= _LIKELY_DAYS[0]).all() and (finite < _LIKELY_DAYS[1]).all()
+    )
 
 
 def _require_no_days(table: Table, title: str, values: FloatArray) -> None:
     """Refuse numbers without a unit that may be days of a spreadsheet as well as seconds."""
     finite = values[np.isfinite(values)]
-    if finite.size > 1 and _may_be_days(values) and np.median(np.abs(np.diff(finite))) < _LONGEST_STEP:
+    if (
+        finite.size > 1
+        and _may_be_days(values)
+        and np.median(np.abs(np.diff(finite))) < _LONGEST_STEP
+    ):
         raise RecordingError(
             f"{table.path}: {title!r} goes from {finite.min():g} to {finite.max():g} in small steps: days of "
             f"a spreadsheet, or seconds? Write time='{title}; unit=d' or time='{title}; unit=s'"
@@ -226,7 +258,9 @@ def _since(seconds: FloatArray) -> Times:
     return Times(seconds - origin, origin)
 
 
-def _dates(table: Table, title: str, texts: Mapping[int, str], order: str) -> FloatArray:
+def _dates(
+    table: Table, title: str, texts: Mapping[int, str], order: str
+) -> FloatArray:
     """Seconds since 1970 of the dates in a column, shape (N,); `order` is empty if they are ISO 8601.
 
     Raises:

@@ -74,8 +74,15 @@ class TwinSession(Recording):
         super().__init__(folder, plan.limits)
         self._plant = plan.settings.plant.name
         plant = description_of(plan.settings.plant)
-        twin = {**values_of(plan.settings), "candidates": "given" if plan.candidates else ""}
-        for name, values in ((SAMPLER, plan.values), ("matcher", twin), ("discriminator", twin)):
+        twin = {
+            **values_of(plan.settings),
+            "candidates": "given" if plan.candidates else "",
+        }
+        for name, values in (
+            (SAMPLER, plan.values),
+            ("matcher", twin),
+            ("discriminator", twin),
+        ):
             texts = {key: json.dumps(value) for key, value in values.items()}
             self.add_record(parameters_record(f"/{name}"), texts)
         if plan.candidates:
@@ -92,7 +99,9 @@ class TwinSession(Recording):
         if (match := judged.outcome.match) is not None:
             self.record("/twin/match", tree_of(match), judged.stamps[match.sample])
         for verdict in judged.outcome.verdicts:
-            self.record("/twin/model_score", tree_of(verdict), judged.stamps[verdict.sample])
+            self.record(
+                "/twin/model_score", tree_of(verdict), judged.stamps[verdict.sample]
+            )
 
     def record(self, name: str, tree: Tree, stamp: int | None = None) -> None:
         """Write a record on a topic; `stamp` is that of the sample behind it, ns."""
@@ -110,7 +119,9 @@ class Alone:
         Raises:
             TwinmatchError: one of the parts cannot be used.
         """
-        candidates = parse_candidates(plan.candidates, "candidates") if plan.candidates else []
+        candidates = (
+            parse_candidates(plan.candidates, "candidates") if plan.candidates else []
+        )
         opened = source_of(plan.values)
         if opened is None:
             raise SamplingError(
@@ -130,14 +141,19 @@ class Alone:
         self._troubles: dict[str, str] = {}
         self._ended = False
 
-    def _open(self, plan: AlonePlan, opened: Open, candidates: Sequence[Candidate]) -> None:
+    def _open(
+        self, plan: AlonePlan, opened: Open, candidates: Sequence[Candidate]
+    ) -> None:
         self._view = view_on(Console(soft_wrap=True), "live", plan.settings.period)
-        for _ in prepare(plan.settings.plant):  # a compiler beside the samples would cost some of them
+        for _ in prepare(plan.settings.plant):
+            # a compiler beside the samples would cost some of them
             pass
         self._listener = listener_of(SAMPLER, plan.values, time.time_ns)
         self._listener.open(opened)
         self._shown = RunShown(plan.settings, plan.page, plan.tell, plan.goal)
-        self._session = TwinSession(plan.session, plan) if plan.session is not None else None
+        self._session = (
+            TwinSession(plan.session, plan) if plan.session is not None else None
+        )
         self._judging = Judging(plan.settings, candidates, shown=self._shown.wanted)
         self._results = RunResults()
 
@@ -188,7 +204,9 @@ class Alone:
             self._say_trouble(name, listener.trouble(name) if is_due else "")
         self._say_trouble("pace", listener.sampler.troubles.get("pace", ""))
         if missed != self._missed:
-            self._view.say(f"the loop paused: {missed} ticks were missed in all", "yellow")
+            self._view.say(
+                f"the loop paused: {missed} ticks were missed in all", "yellow"
+            )
             self._missed = missed
         self._shown.tell()
 
@@ -197,7 +215,11 @@ class Alone:
         self._shown.trouble(name, text)
         kind = kind_of(text)
         if kind != self._troubles.get(name, ""):
-            right = "the ticks are right again" if name == "pace" else f"{name}: there are values again"
+            right = (
+                "the ticks are right again"
+                if name == "pace"
+                else f"{name}: there are values again"
+            )
             self._view.say(text or right, "red" if text else "green")
         self._troubles[name] = kind
 
@@ -206,10 +228,13 @@ class Alone:
         for name, refusals in self._listener.refusals.items():
             if refusals.count:
                 self._view.say(
-                    f"{name}: {refusals.count} values could not be read and are left out", "yellow"
+                    f"{name}: {refusals.count} values could not be read and are left out",
+                    "yellow",
                 )
         if repeated := self._listener.sampler.repeated:
-            self._view.say(f"{repeated} messages were sent twice or more often at once, and count once")
+            self._view.say(
+                f"{repeated} messages were sent twice or more often at once, and count once"
+            )
 
     def _take_samples(self) -> None:
         for sample in self._listener.samples():
@@ -240,11 +265,17 @@ class Alone:
     def _finish(self) -> None:
         """Wait for what is being judged, and summarise."""
         until = time.monotonic() + Judging.LEAVE
-        while self._judged < self._sampled and time.monotonic() < until and self._judging.failure is None:
+        while (
+            self._judged < self._sampled
+            and time.monotonic() < until
+            and self._judging.failure is None
+        ):
             self._take_judged()
             time.sleep(self._listener.interval)
         self._view.close()
-        self._view.say(f"ended: {self._sampled} samples, {self._results.tally.verdicts} verdicts")
+        self._view.say(
+            f"ended: {self._sampled} samples, {self._results.tally.verdicts} verdicts"
+        )
         self._say_left_out()
         summary = self._results.summary(self._settings)
         if summary is not None:
@@ -268,7 +299,10 @@ def run_alone(plan: AlonePlan) -> None:
         KeyboardInterrupt: a signal came before the run had begun.
         TwinmatchError: a file, an option or the source cannot be used, or the disk is full.
     """
-    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {
+        number: signal.signal(number, _interrupt)
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         run = Alone(plan)
         for number in before:

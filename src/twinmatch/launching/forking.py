@@ -54,7 +54,9 @@ _POLL: Final = 0.01
 """Interval between two looks at a child that is waited for, s."""
 _MOMENT: Final = 0.0005
 """Interval between two looks at who the parent is, s."""
-_ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_ONE_THREAD: Final = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+)
 """The matrices are small, and a process with threads cannot be forked safely."""
 _LIBC: Final = ctypes.CDLL(None, use_errno=True)
 
@@ -131,7 +133,11 @@ class ForkServer:
         self._socket, self._process = begun_server()
 
     def start(
-        self, *words: str, output: int, environment: Mapping[str, str], folder: Path | None = None
+        self,
+        *words: str,
+        output: int,
+        environment: Mapping[str, str],
+        folder: Path | None = None,
     ) -> Forked:
         """Start a program; a server that was killed is replaced.
 
@@ -149,7 +155,8 @@ class ForkServer:
             if self._process.poll() is not None:
                 self._socket.close()
                 self._socket, self._process = begun_server()
-            _LIBC.prctl(_Prctl.CHILD_SUBREAPER, 1)  # so that the new process becomes a child of this one
+            # so that the new process becomes a child of this one
+            _LIBC.prctl(_Prctl.CHILD_SUBREAPER, 1)
             try:
                 socket.send_fds(self._socket, [json.dumps(asked).encode()], [output])
                 answer = self._socket.recv(_MAX_LINE)
@@ -158,7 +165,9 @@ class ForkServer:
         if not answer:
             raise BrokenPipeError(errno.EPIPE, "the fork server has ended")
         if not int(answer):
-            raise PermissionError(errno.EPERM, "the kernel gives this process no children of others")
+            raise PermissionError(
+                errno.EPERM, "the kernel gives this process no children of others"
+            )
         return Forked(list(words), int(answer))
 
     def close(self) -> None:
@@ -210,7 +219,9 @@ def _become_child_of(parent: int) -> bool:
     return os.getppid() == parent  # unless it died before the line above
 
 
-def _prepare(output: int, words: list[str], environment: dict[str, str], folder: str) -> list[str]:
+def _prepare(
+    output: int, words: list[str], environment: dict[str, str], folder: str
+) -> list[str]:
     """Make this process what a new program finds."""
     os.setsid()
     for place in (1, 2):
@@ -224,7 +235,9 @@ def _prepare(output: int, words: list[str], environment: dict[str, str], folder:
     return words
 
 
-def _show(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+def _show(
+    kind: type[BaseException], error: BaseException, trace: TracebackType | None
+) -> None:
     """Show what has ended a program, but for Ctrl-C while it still imported."""
     if not issubclass(kind, KeyboardInterrupt):
         sys.__excepthook__(kind, error, trace)
@@ -236,12 +249,14 @@ def main() -> None:
         return
     for name in IMPORTED:
         import_module(name)
-    from twinmatch.compiled import start_runtime  # noqa: PLC0415 — the launcher waits for this module
+    from twinmatch.compiled import start_runtime  # noqa: PLC0415
 
     start_runtime()
     tell_tracer_of_forks()
     # Python counts the threads of the tracer, too.
-    warnings.filterwarnings("ignore", ".*multi-threaded, use of fork", DeprecationWarning)
+    warnings.filterwarnings(
+        "ignore", ".*multi-threaded, use of fork", DeprecationWarning
+    )
     gc.collect()
     gc.freeze()  # what is shared stays shared
     sys.excepthook = _show

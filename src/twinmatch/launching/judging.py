@@ -36,7 +36,9 @@ class Judging(Background):
     LEAVE: Final = 5.0
     """Longest time to judge at the end what has been sampled, s."""
 
-    def __init__(self, settings: TwinSettings, candidates: Sequence[Candidate], *, shown: bool) -> None:
+    def __init__(
+        self, settings: TwinSettings, candidates: Sequence[Candidate], *, shown: bool
+    ) -> None:
         """Start. `shown`: whether forecasts are wanted too."""
         self.judged: SimpleQueue[Judged] = SimpleQueue()
         self.snapshot = Snapshot()
@@ -73,7 +75,9 @@ class Judging(Background):
         stamps = {index: stamp_of.get(index, 0) for index in judged_samples}
         mirror = None
         forecast = None
-        with without_what_fails("a sample could not be shown", self._twin.discriminator.defects):
+        with without_what_fails(
+            "a sample could not be shown", self._twin.discriminator.defects
+        ):
             for settled in outcome.settled:
                 mirror = self._mirror.push(settled)
             forecast = self._forecast()
@@ -89,4 +93,6 @@ class Judging(Background):
             return None
         self.snapshot = forecaster.snapshot()
         outlook = self.snapshot.outlook()
-        return outlook.forecast(np.tile(outlook.standing, (max(forecaster.horizons), 1)))
+        return outlook.forecast(
+            np.tile(outlook.standing, (max(forecaster.horizons), 1))
+        )

@@ -118,7 +118,9 @@ def _run_live(live: Live) -> int:
     for session in filter(Path.exists, live.sessions):
         view.say(f"recorded: {session}")
     live.settle(lambda _: True)
-    view.say(f"ended: {live.ending}; {live.received} samples, {live.results.tally.verdicts} verdicts")
+    view.say(
+        f"ended: {live.ending}; {live.received} samples, {live.results.tally.verdicts} verdicts"
+    )
     live.summary = live.results.summary(settings)
     if live.summary is not None:
         for line in live.results.closing_lines(live.summary):
@@ -158,7 +160,10 @@ class Errors:
                 continue
             if status.name not in self._standing and len(self._standing) >= MAX_NODES:
                 continue
-            texts = {kind_of(text): text for text in re.split("; (?=refused: )", status.message)}
+            texts = {
+                kind_of(text): text
+                for text in re.split("; (?=refused: )", status.message)
+            }
             standing_kinds = frozenset[str]().union(*self._standing.values())
             self._standing[status.name] = frozenset(texts)
             new = [text for kind, text in texts.items() if kind not in standing_kinds]
@@ -216,14 +221,18 @@ class _LiveRun(Supervised):
     def start(self, node: Watch) -> None:
         """Start everything; the rig last, after all subscribers."""
         plan = self._plan
-        node.create_subscription(LoopSample, "plant/sample", self._live.take_sample, EVERYTHING)
+        node.create_subscription(
+            LoopSample, "plant/sample", self._live.take_sample, EVERYTHING
+        )
         if plan.virtual is not None:
             self.view.say("starting the virtual rig")
             arguments = ["virtual-rig", *plan.virtual.arguments]
             self.processes.start_module("virtual_rig", "twinmatch.cli", *arguments)
         self._refuse_second_graph(node)
         if plan.virtual is not None:
-            self.processes.wait_for_line("virtual_rig", self._ready, self.VIRTUAL_RIG_START)
+            self.processes.wait_for_line(
+                "virtual_rig", self._ready, self.VIRTUAL_RIG_START
+            )
             if plan.simulated:
                 self._start("plant_clock")
         self._start("twin")
@@ -236,7 +245,9 @@ class _LiveRun(Supervised):
     def check(self, node: Watch) -> int | None:  # noqa: ARG002
         """Restart processes that may be restarted; over once one is lost, or all samples are judged."""
         live = self._live
-        live.settle(lambda sample: self.settled.complete(sample, live.results.tally.verdicts))
+        live.settle(
+            lambda sample: self.settled.complete(sample, live.results.tally.verdicts)
+        )
         self.view.advance(live.received)
         if self._over is None:
             self._over = self._lost()
@@ -244,8 +255,16 @@ class _LiveRun(Supervised):
         if self._over is None:
             return None
         code, live.ending = self._over
-        judged = live.newest is None or self.settled.complete(live.newest.index, live.results.tally.verdicts)
-        return None if code == 0 and not judged and time.monotonic() - self._over_at < self.SETTLE else code
+        judged = live.newest is None or self.settled.complete(
+            live.newest.index, live.results.tally.verdicts
+        )
+        return (
+            None
+            if code == 0
+            and not judged
+            and time.monotonic() - self._over_at < self.SETTLE
+            else code
+        )
 
     def take_verdict(self, verdict: Verdict) -> None:
         """Count and show it."""
@@ -288,7 +307,11 @@ class _LiveRun(Supervised):
                 self.view.say(text, "red")
                 continue
             wall_now = time.monotonic()
-            before = [restarted for restarted in self._restarts.get(name, []) if wall_now - restarted < SPAN]
+            before = [
+                restarted
+                for restarted in self._restarts.get(name, [])
+                if wall_now - restarted < SPAN
+            ]
             if len(before) >= self.RESTARTS:
                 reason = f"{name} was lost (code {code}) after {self.RESTARTS} restarts in {SPAN:g} s"
                 return EXIT_LOST, reason
@@ -302,9 +325,15 @@ class _LiveRun(Supervised):
         if code == 0 and name in _SOURCES:
             return 0, f"the {_SOURCES[name]} has ended"
         if code == EXIT_USER_ERROR:
-            return 2, f"{name} rejected its configuration or input; see its message above"
+            return (
+                2,
+                f"{name} rejected its configuration or input; see its message above",
+            )
         if code == EXIT_DISK and not self._plan.keep_driving:
-            return EXIT_NOT_RECORDED, f"{name} can no longer write the session; see its message above"
+            return (
+                EXIT_NOT_RECORDED,
+                f"{name} can no longer write the session; see its message above",
+            )
         if name in _SOURCES:
             return EXIT_LOST, f"{name} was lost (code {code}); the output is off"
         return None
@@ -312,13 +341,18 @@ class _LiveRun(Supervised):
     def _start(self, name: str) -> None:
         plan = self._plan
         follows = plan.in_step and name != "plant_clock"
-        self.processes.environment = {VARIABLE: self._addresses["clock"]} if follows else {}
-        if name in (plan.driver, "twin"):  # no other process can have a law put on trial
+        self.processes.environment = (
+            {VARIABLE: self._addresses["clock"]} if follows else {}
+        )
+        if name in (plan.driver, "twin"):
+            # no other process can have a law put on trial
             self.processes.environment[SECRET] = self._secret
         if name == "recorder":
             self._live.sessions.append(self._next_session())
         program = plan.wiring.program if name == plan.driver else name
-        self.processes.start_module(name, "twinmatch.nodes", program, *self._arguments(name))
+        self.processes.start_module(
+            name, "twinmatch.nodes", program, *self._arguments(name)
+        )
 
     def _arguments(self, name: str) -> list[str]:
         plan = self._plan
@@ -328,8 +362,14 @@ class _LiveRun(Supervised):
             return plan.twin_arguments()
         if name == "recorder":
             first, *later_sessions = self._live.sessions
-            return plan.recorder_arguments(self._live.sessions[-1], first.name if later_sessions else "")
-        readers = READERS if plan.session is None or plan.keep_driving else f"{READERS} recorder"
+            return plan.recorder_arguments(
+                self._live.sessions[-1], first.name if later_sessions else ""
+            )
+        readers = (
+            READERS
+            if plan.session is None or plan.keep_driving
+            else f"{READERS} recorder"
+        )
         return [*plan.rig_arguments(self._addresses), *plan.wait_for(readers)]
 
     def _next_session(self) -> Path:

@@ -16,7 +16,12 @@ from twinmatch.launching.processes import LaunchError
 from twinmatch.links.kit_link import require_package, require_port
 from twinmatch.nodes.step import PATIENCE
 from twinmatch.parameters.declared import render
-from twinmatch.parameters.sampler import SAMPLER, sampler_values, twin_beside, understood
+from twinmatch.parameters.sampler import (
+    SAMPLER,
+    sampler_values,
+    twin_beside,
+    understood,
+)
 from twinmatch.parameters.twin import table_of, values_of
 from twinmatch.sampling.sources import SignalMap
 
@@ -84,7 +89,9 @@ def _check_kit(port: str) -> None:
 WIRINGS: Final = {
     "peltier": Wiring("rig", "pwm_bridge"),
     "tclab": Wiring("tclab_rig", "tclab_bridge", _check_kit),
-    "tclab-both": Wiring("tclab_rig", "tclab_bridge", _check_kit, {"tclab_bridge:plant": "tclab-both"}),
+    "tclab-both": Wiring(
+        "tclab_rig", "tclab_bridge", _check_kit, {"tclab_bridge:plant": "tclab-both"}
+    ),
 }
 """By plant name."""
 
@@ -145,13 +152,23 @@ class LivePlan:
         """ROS arguments of bridges and controller; `addresses` are those that the virtual rig prints."""
         places = {**addresses, "serial": self.port} if self.port else addresses
         patient = dict.fromkeys(_IN_STEP if self.in_step else (), PATIENCE)
-        values = {"controller:plant": self.plant, **self.wiring.settings(places), **patient, **self.overrides}
+        values = {
+            "controller:plant": self.plant,
+            **self.wiring.settings(places),
+            **patient,
+            **self.overrides,
+        }
         return ros_arguments({**values, **self._time()}, self.config)
 
     def wait_for(self, readers: str) -> list[str]:
         """ROS arguments to hold back the first sample until these nodes (space-separated) subscribe."""
         patience = 30.0 if self.virtual is None else 180.0
-        return ["-p", f"controller:readers:={readers}", "-p", f"controller:wait_timeout:={patience}"]
+        return [
+            "-p",
+            f"controller:readers:={readers}",
+            "-p",
+            f"controller:wait_timeout:={patience}",
+        ]
 
     def clock_arguments(self, addresses: Mapping[str, str]) -> list[str]:
         """ROS arguments of the node that publishes the virtual rig's clock."""
@@ -167,7 +184,10 @@ class LivePlan:
 
     def recorder_arguments(self, session: Path, continues: str = "") -> list[str]:
         """ROS arguments of the recorder of a session, which may continue another one."""
-        values = {"recorder:folder": session.absolute().parent, "recorder:name": session.name}
+        values = {
+            "recorder:folder": session.absolute().parent,
+            "recorder:name": session.name,
+        }
         if continues:
             values["recorder:continues"] = continues
         return ros_arguments({**values, **self._time()}, self.config)
@@ -212,7 +232,12 @@ class AttachPlan(LivePlan):
 
     def wait_for(self, readers: str) -> list[str]:
         """As for a rig, but longer: a rig that runs on its own is not held up while a twin is compiled."""
-        return ["-p", f"{SAMPLER}:readers:={readers}", "-p", f"{SAMPLER}:readers_timeout:=180.0"]
+        return [
+            "-p",
+            f"{SAMPLER}:readers:={readers}",
+            "-p",
+            f"{SAMPLER}:readers_timeout:=180.0",
+        ]
 
 
 def attach_plan(

@@ -45,7 +45,8 @@ class Processes:
         self._show = show
         self.environment: dict[str, str] = {}
         """Variables for the children that are started from now on, in addition to ours."""
-        self._children: dict[str, tuple[Forked, threading.Thread]] = {}  # with the reader of its output
+        # with the reader of its output
+        self._children: dict[str, tuple[Forked, threading.Thread]] = {}
 
     def start_module(self, name: str, module: str, *arguments: str) -> None:
         """Start `python -m module arguments` as a child of this name.
@@ -57,13 +58,19 @@ class Processes:
         words = ("-m", module, *arguments)
         environment = {**os.environ, **self.environment}
         try:
-            process = fork_server().start(*words, output=writing_end, environment=environment)
+            process = fork_server().start(
+                *words, output=writing_end, environment=environment
+            )
         except OSError as error:
             os.close(reading_end)
-            raise LaunchError(f"{name}: cannot be started ({error.strerror})") from error
+            raise LaunchError(
+                f"{name}: cannot be started ({error.strerror})"
+            ) from error
         finally:
             os.close(writing_end)
-        reader = threading.Thread(target=self._pass_on, args=(name, reading_end), daemon=True)
+        reader = threading.Thread(
+            target=self._pass_on, args=(name, reading_end), daemon=True
+        )
         reader.start()
         self._children[name] = process, reader
 
@@ -88,7 +95,8 @@ class Processes:
         killed = []
         for name in in_order:
             process, reader = self._children[name]
-            process.send_signal(signal.SIGTERM)  # as good as SIGINT to our nodes, and quiet while they import
+            # as good as SIGINT to our nodes, and quiet while they import
+            process.send_signal(signal.SIGTERM)
             try:
                 process.wait(self.PATIENCE)
             except subprocess.TimeoutExpired:
@@ -108,9 +116,13 @@ class Processes:
         deadline = time.monotonic() + seconds
         while not ready.wait(0.05):
             if (code := self.ended.get(name)) is not None:
-                raise LaunchError(f"{name} ended with code {code} before it was ready; see its output above")
+                raise LaunchError(
+                    f"{name} ended with code {code} before it was ready; see its output above"
+                )
             if time.monotonic() > deadline:
-                raise LaunchError(f"{name} was not ready after {seconds:g} s; see its output above")
+                raise LaunchError(
+                    f"{name} was not ready after {seconds:g} s; see its output above"
+                )
 
     def _pass_on(self, name: str, output: int) -> None:
         with open(output, errors="replace") as stream:
@@ -147,7 +159,9 @@ class Page:
     def __enter__(self) -> Page:
         if self._port is not None:
             options = ["--port", str(self._port), *self._options]
-            self._processes.start_module("dashboard", "twinmatch.cli", "dashboard", *options)
+            self._processes.start_module(
+                "dashboard", "twinmatch.cli", "dashboard", *options
+            )
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -161,7 +175,8 @@ class Page:
         def stop(*_: object) -> None:
             raise KeyboardInterrupt
 
-        for number in (signal.SIGINT, signal.SIGTERM):  # the nodes' runner leaves them ignored
+        for number in (signal.SIGINT, signal.SIGTERM):
+            # the nodes' runner leaves them ignored
             signal.signal(number, stop)
         self._show("the page stays open until Ctrl-C")
         try:
@@ -184,11 +199,15 @@ def add_page_options(parser: argparse.ArgumentParser, *, control: bool = False) 
     parser.add_argument("--tell", metavar="URL", help=TELL)
     if control:
         parser.add_argument(
-            "--control", action="store_true", help="let the page change the set-point, clear faults and stop"
+            "--control",
+            action="store_true",
+            help="let the page change the set-point, clear faults and stop",
         )
 
 
-def check_page_options(options: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
+def check_page_options(
+    options: argparse.Namespace, parser: argparse.ArgumentParser
+) -> None:
     """Exit with a usage error if the options of the page contradict."""
     control = bool(getattr(options, "control", False))
     if control and options.dashboard is None:
@@ -199,7 +218,11 @@ def check_page_options(options: argparse.Namespace, parser: argparse.ArgumentPar
         parser.error(f"--dashboard is {options.dashboard}; give a port from 0 to 65535")
 
 
-def page_of(options: argparse.Namespace, parser: argparse.ArgumentParser, config: Path | None = None) -> Page:
+def page_of(
+    options: argparse.Namespace,
+    parser: argparse.ArgumentParser,
+    config: Path | None = None,
+) -> Page:
     """The page that the command line requests; exits with a usage error if the options contradict."""
     check_page_options(options, parser)
     control = bool(getattr(options, "control", False))
@@ -214,4 +237,6 @@ def refuse_existing(session: Path | None) -> None:
         LaunchError: the folder exists already.
     """
     if session is not None and session.exists():
-        raise LaunchError(f"{session} exists already; give another folder with --session")
+        raise LaunchError(
+            f"{session} exists already; give another folder with --session"
+        )

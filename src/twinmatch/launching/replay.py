@@ -55,7 +55,9 @@ def play(replay: Replay) -> int:
     settings = terms_from_files(session, replay.config).settings
     with tempfile.TemporaryDirectory(prefix="twinmatch-") as folder:
         playable = _playable(session, Path(folder))
-        view = view_on(replay.console, session.name, settings.period, len(session.samples))
+        view = view_on(
+            replay.console, session.name, settings.period, len(session.samples)
+        )
         code = _ReplayRun(replay, settings, playable, view).run()
     if code == 0 and not replay.whole:
         view.say(f"interrupted after {len(replay.verdicts)} verdicts")
@@ -67,14 +69,19 @@ def play(replay: Replay) -> int:
             settings.law,
             session.notes,
         )
-        for line in closing_lines(replay.summary, replay.verdicts[-1] if replay.verdicts else None):
+        for line in closing_lines(
+            replay.summary, replay.verdicts[-1] if replay.verdicts else None
+        ):
             view.say(line)
     return code
 
 
 def values_for_twin(settings: TwinSettings) -> dict[str, object]:
     """Parameters of the twin's nodes that follow from the session."""
-    values: dict[str, object] = {"period": settings.period, "plant": written_name(settings.plant)}
+    values: dict[str, object] = {
+        "period": settings.period,
+        "plant": written_name(settings.plant),
+    }
     if settings.law is None:
         values["loop"] = UNKNOWN
     if settings.read_through:
@@ -97,7 +104,13 @@ class _ReplayRun(Supervised):
     NAME = "replay_watch"
     STOP_ORDER = ("player", "twin")
 
-    def __init__(self, replay: Replay, settings: TwinSettings, playable: Path, view: Screen | Lines) -> None:
+    def __init__(
+        self,
+        replay: Replay,
+        settings: TwinSettings,
+        playable: Path,
+        view: Screen | Lines,
+    ) -> None:
         super().__init__(view)
         self._replay = replay
         self._settings = settings
@@ -158,12 +171,19 @@ class _ReplayRun(Supervised):
         """
         ended = self.processes.ended
         for name, code in ended.items():
-            if name == "twin" and code < 0 and self._restarts < self.RESTARTS and "player" not in ended:
+            if (
+                name == "twin"
+                and code < 0
+                and self._restarts < self.RESTARTS
+                and "player" not in ended
+            ):
                 self._restarts += 1
                 self.view.say(f"twin ended with code {code}; restarting it", "yellow")
                 self._start_twin()
             elif name == "twin" or code != 0:
-                raise LaunchError(f"replay: {name} ended with code {code}; see its output above")
+                raise LaunchError(
+                    f"replay: {name} ended with code {code}; see its output above"
+                )
         return "player" in ended
 
     def _start_twin(self) -> None:
@@ -172,11 +192,17 @@ class _ReplayRun(Supervised):
         values = values_for_twin(settings)
         if replay.candidates is not None:
             values["discriminator:candidates"] = replay.candidates
-        options = ros_arguments(values, *(() if replay.config is None else (replay.config,)))
+        options = ros_arguments(
+            values, *(() if replay.config is None else (replay.config,))
+        )
         self.processes.start_module("twin", "twinmatch.nodes", "twin", *options)
 
     def _start_player(self) -> None:
         self._playing = True
-        values = {"session": self._playable, "readers": READERS, "rate": float(self._replay.rate)}
+        values = {
+            "session": self._playable,
+            "readers": READERS,
+            "rate": float(self._replay.rate),
+        }
         options = ros_arguments({**values, "wait_timeout": 60.0})
         self.processes.start_module("player", "twinmatch.nodes", "player", *options)

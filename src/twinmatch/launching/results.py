@@ -50,7 +50,9 @@ class RunResults:
         if not len(self.samples):
             return None
         period = settings.period
-        return conclude(self.tally, lambda: self.longest(period), settings.law, period=period)
+        return conclude(
+            self.tally, lambda: self.longest(period), settings.law, period=period
+        )
 
     def closing_lines(self, summary: SessionSummary) -> list[str]:
         """The lines with which the run ends."""

@@ -38,7 +38,9 @@ class Asked:
         """Forecast with the set-point at a level, and back after a time (s)."""
         question, times, levels = self._state.question(level, hold)
         try:
-            forecast = what_if(self.snapshot.outlook(), Question(tuple(times), tuple(levels))).forecast
+            forecast = what_if(
+                self.snapshot.outlook(), Question(tuple(times), tuple(levels))
+            ).forecast
         except TwinmatchError as error:
             self._state.answer(WhatIfAnswer(question, (str(error),)))
         else:
@@ -56,7 +58,11 @@ class RunShown(Shown):
     """Keeps the state of a run in this process up to date for those who look at it."""
 
     def __init__(
-        self, settings: TwinSettings, port: int | None, broker: str | None, goal: Goal | None = None
+        self,
+        settings: TwinSettings,
+        port: int | None,
+        broker: str | None,
+        goal: Goal | None = None,
     ) -> None:
         """Serve the page on a local port (None: no page), and tell a broker (None: none) what it shows; with
         a `goal` also when it is reached.
@@ -71,7 +77,8 @@ class RunShown(Shown):
         self._goal = goal
         self._goal_asked_at = -math.inf
         try:
-            if port is not None:  # without `control`, a tab makes no other requests than these
+            if port is not None:
+                # without `control`, a tab makes no other requests than these
                 self.serve(cast("Requests", self._asked), port)
             if broker:
                 self.publish_to(broker, settings.plant.name)

@@ -22,7 +22,11 @@ Notice = Callable[[Any], Any]
 _NAME: Final = "liblttng-ust"
 """How the names of the library's files begin, also in wheels, which append a checksum."""
 _NOTICES: Final = (
-    ("lttng_ust_before_fork", "lttng_ust_after_fork_parent", "lttng_ust_after_fork_child"),
+    (
+        "lttng_ust_before_fork",
+        "lttng_ust_after_fork_parent",
+        "lttng_ust_after_fork_child",
+    ),
     ("ust_before_fork", "ust_after_fork_parent", "ust_after_fork_child"),
 )
 """Functions of LTTng to call before and after a fork: since version 2.13, and before it."""
@@ -47,8 +51,11 @@ def tell_tracer_of_forks() -> bool:
     return False
 
 
-def _call_at_forks(before: Notice, after_in_parent: Notice, after_in_child: Notice) -> None:
-    signals = ctypes.create_string_buffer(_SIGNAL_SET)  # those blocked before, which the call after restores
+def _call_at_forks(
+    before: Notice, after_in_parent: Notice, after_in_child: Notice
+) -> None:
+    # those blocked before, which the call after restores
+    signals = ctypes.create_string_buffer(_SIGNAL_SET)
     os.register_at_fork(
         before=lambda: before(signals),
         after_in_parent=lambda: after_in_parent(signals),
@@ -58,6 +65,9 @@ def _call_at_forks(before: Notice, after_in_parent: Notice, after_in_child: Noti
 
 def _loaded_files() -> list[str]:
     """The tracer's files that are loaded into this process."""
-    mapped = (line.split(maxsplit=5) for line in Path("/proc/self/maps").read_text("utf-8").splitlines())
+    mapped = (
+        line.split(maxsplit=5)
+        for line in Path("/proc/self/maps").read_text("utf-8").splitlines()
+    )
     paths = dict.fromkeys(fields[5] for fields in mapped if len(fields) == 6)
     return [path for path in paths if Path(path).name.startswith(_NAME)]

@@ -38,7 +38,11 @@ class Settled:
 
     def complete(self, last: int, received: int) -> bool:
         """Whether all is judged up to sample `last`, and `received` verdicts are all that were published."""
-        return self._sample is not None and self._sample >= last and received >= self._verdicts
+        return (
+            self._sample is not None
+            and self._sample >= last
+            and received >= self._verdicts
+        )
 
 
 def _count(text: str) -> int | None:
@@ -63,7 +67,10 @@ class Supervised(ABC):
     def run(self) -> int:
         """Run until it is over or a signal ends it; returns the exit code."""
         try:
-            return run([type("Watch", (Watch,), {"NAME": self.NAME, "supervised": self})], [self.NAME])
+            return run(
+                [type("Watch", (Watch,), {"NAME": self.NAME, "supervised": self})],
+                [self.NAME],
+            )
         finally:
             self.view.close()
 
@@ -116,7 +123,9 @@ class Watch(TwinmatchNode):
 
     def close(self) -> bool:
         """End the processes."""
-        return end_in_order(self.supervised.view.close, super().close, self._end_processes)
+        return end_in_order(
+            self.supervised.view.close, super().close, self._end_processes
+        )
 
     def _end_processes(self) -> None:
         run = self.supervised

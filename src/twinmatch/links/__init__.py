@@ -12,7 +12,9 @@ class Background:
     failure: Exception | None = None
     """The error that ended the thread, if any."""
 
-    def __init__(self, name: str, run: Callable[[], None], patience: float = 2.0) -> None:
+    def __init__(
+        self, name: str, run: Callable[[], None], patience: float = 2.0
+    ) -> None:
         """`run` returns soon after `ending` is set; `close` waits for it `patience` s by default."""
         self.ending = threading.Event()
         self._run = run

@@ -68,7 +68,9 @@ class Kit(tclab.TCLab):
                 self.connect(baud)
                 break
             except serial.SerialException as error:
-                raise KitAbsentError(f"kit at {port}: the port cannot be opened: {error}") from error
+                raise KitAbsentError(
+                    f"kit at {port}: the port cannot be opened: {error}"
+                ) from error
             except (ValueError, OSError):
                 with contextlib.suppress(OSError):
                     self.sp.close()
@@ -109,7 +111,9 @@ class Kit(tclab.TCLab):
         """
         for value in (power, second_power):
             if not 0.0 <= value <= 100.0:  # true for NaN too
-                raise KitError(f"kit: the command is {value}; it must be within 0 to 100 %")
+                raise KitError(
+                    f"kit: the command is {value}; it must be within 0 to 100 %"
+                )
         set_to = (self._heater("Q1", power), self._heater("Q2", second_power))
         return KitReading(self._temperature("T1"), self._temperature("T2"), *set_to)
 
@@ -126,8 +130,10 @@ class Kit(tclab.TCLab):
         """The answer to a request, which is retried once."""
         for _ in range(self._TRIES):
             try:
-                self.sp.reset_input_buffer()  # drop late answers and those to other programs
-            except termios.error as error:  # pyserial passes it on, and it is not an OSError
+                # drop late answers and those to other programs
+                self.sp.reset_input_buffer()
+            except termios.error as error:
+                # pyserial passes it on, and it is not an OSError
                 raise OSError(*error.args) from error
             try:
                 answer = self.send_and_receive(words, kind)
@@ -151,7 +157,9 @@ class Kit(tclab.TCLab):
     def _temperature(self, name: str) -> float:
         answer = float(self._ask(name, float))
         if not (math.isfinite(answer) and _POSSIBLE[0] <= answer <= _POSSIBLE[1]):
-            raise KitError(f"kit: {name} reads {answer:g} °C, which its sensor cannot give; check the sensor")
+            raise KitError(
+                f"kit: {name} reads {answer:g} °C, which its sensor cannot give; check the sensor"
+            )
         return answer
 
 
@@ -167,7 +175,9 @@ def open_kit(port: str, patience: float = _ANSWER) -> Kit:
         if not port:
             port, _ = package.find_arduino()
             if port is None:
-                raise KitAbsentError("kit: none on the USB bus; plug it in, or name its port with --port")
+                raise KitAbsentError(
+                    "kit: none on the USB bus; plug it in, or name its port with --port"
+                )
         else:
             require_port(port)
         return Kit(port, patience)
@@ -222,15 +232,16 @@ class _Keeper:
         power, second_power = (_number(word) for word in words[1:])
         wanted = power > 0.0 or second_power > 0.0
         if self._silent and wanted:
-            return (
-                f"silent the kit received no command for {self._deadline:g} s; its heaters were switched off"
-            )
+            return f"silent the kit received no command for {self._deadline:g} s; its heaters were switched off"
         self._driving = wanted
-        return "read {:.4f} {:.4f} {:.4f} {:.4f}".format(*self._kit.drive(power, second_power))
+        return "read {:.4f} {:.4f} {:.4f} {:.4f}".format(
+            *self._kit.drive(power, second_power)
+        )
 
     @staticmethod
     def _say(line: str) -> None:
-        with contextlib.suppress(OSError):  # the reader is gone, which the end of our input will show
+        with contextlib.suppress(OSError):
+            # the reader is gone, which the end of our input will show
             os.write(1, f"{line}\n".encode())
 
 

@@ -50,7 +50,9 @@ def require_package() -> None:
         KitAbsentError: it is not.
     """
     if importlib.util.find_spec("tclab") is None:
-        raise KitAbsentError("kit: the package tclab is not installed; pip install 'twinmatch[tclab]'")
+        raise KitAbsentError(
+            "kit: the package tclab is not installed; pip install 'twinmatch[tclab]'"
+        )
 
 
 def require_port(port: str) -> None:
@@ -66,7 +68,9 @@ def require_port(port: str) -> None:
             f"kit at {port}: {error.strerror}; is it plugged in, and is the port right?"
         ) from error
     if not device:
-        raise KitAbsentError(f"kit at {port}: this is not a serial port; give another --port")
+        raise KitAbsentError(
+            f"kit at {port}: this is not a serial port; give another --port"
+        )
 
 
 class KitLink:
@@ -111,7 +115,13 @@ class KitLink:
             KitAbsentError: there is no kit.
             KitError: the kit does not work.
         """
-        words = [sys.executable, "-m", "twinmatch.links.kit_keeper", self._wanted, f"{self._deadline}"]
+        words = [
+            sys.executable,
+            "-m",
+            "twinmatch.links.kit_keeper",
+            self._wanted,
+            f"{self._deadline}",
+        ]
         if self.plant_time is not None:
             words.append(f"{self._DEADLINE_IN_STEP}")
         # In its own session: Ctrl-C reaches only the commanding process, which then ends this one.
@@ -155,7 +165,7 @@ class KitLink:
         self._process = None
         if process is None:
             return
-        assert process.stdin is not None and process.stdout is not None  # noqa: S101, PT018 — opened as pipes
+        assert process.stdin is not None and process.stdout is not None  # noqa: PT018, S101
         with contextlib.suppress(OSError):
             process.stdin.close()
         try:
@@ -171,11 +181,15 @@ class KitLink:
         try:
             os.write(self._process.stdin.fileno(), f"{line}\n".encode())
         except OSError as error:
-            raise KitError(f"kit: the process that holds its port is gone ({error.strerror})") from error
-        return self._answer(self._ANSWER if self.plant_time is None else self._ANSWER_IN_STEP)
+            raise KitError(
+                f"kit: the process that holds its port is gone ({error.strerror})"
+            ) from error
+        return self._answer(
+            self._ANSWER if self.plant_time is None else self._ANSWER_IN_STEP
+        )
 
     def _answer(self, patience: float) -> tuple[str, str]:
-        assert self._process is not None and self._process.stdout is not None  # noqa: S101, PT018 — just checked
+        assert self._process is not None and self._process.stdout is not None  # noqa: PT018, S101
         pipe = self._process.stdout.fileno()
         deadline = time.monotonic() + patience
         while b"\n" not in self._heard:
@@ -187,7 +201,9 @@ class KitLink:
             if not select.select([pipe], [], [], max(0.0, min(seconds_left, wait)))[0]:
                 if seconds_left > wait:
                     continue
-                raise KitError(f"kit: the process that holds its port gave no answer for {patience:g} s")
+                raise KitError(
+                    f"kit: the process that holds its port gave no answer for {patience:g} s"
+                )
             piece = os.read(pipe, 4096)
             if not piece:
                 raise KitError("kit: the process that holds its port has ended")

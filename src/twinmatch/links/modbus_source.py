@@ -28,7 +28,9 @@ from twinmatch.sampling.registers import Span, Values, parse_place
 
 __all__ = ["ModbusSource", "listing", "open_source", "parse_place"]
 
-_TCP: Final = re.compile(r"modbus://(\[[\da-f:.]+]|[^][/?#@:\s]+)(?::(\d{1,5}))?/(\d{1,3})", re.A | re.I)
+_TCP: Final = re.compile(
+    r"modbus://(\[[\da-f:.]+]|[^][/?#@:\s]+)(?::(\d{1,5}))?/(\d{1,3})", re.A | re.I
+)
 _RTU: Final = re.compile(r"modbus\+rtu://(/[^?#]+)(?:\?(.*))?")
 _KEYS: Final = {
     "baud": r"[1-9]\d{2,5}",
@@ -60,7 +62,8 @@ _FUNCTIONS: Final = {"coil": 1, "discrete": 2, "holding": 3, "input": 4}
 _PATIENCE: Final = 1.0
 """Longest wait for a connection or an answer, and the pause after a failure, s."""
 
-logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # it would print each lost answer
+# it would print each lost answer
+logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
 
 class ModbusError(TwinmatchError):
@@ -87,7 +90,8 @@ class _ReadAnswer(ModbusPDU):
 
 
 _READ_ANSWERS: Final = [
-    type(f"_ReadAnswer{code}", (_ReadAnswer,), {"function_code": code}) for code in _FUNCTIONS.values()
+    type(f"_ReadAnswer{code}", (_ReadAnswer,), {"function_code": code})
+    for code in _FUNCTIONS.values()
 ]
 
 
@@ -104,7 +108,9 @@ class ModbusDevice:
         self._text = url.partition("?")[0]
         tcp = _TCP.fullmatch(url)
         rtu = _RTU.fullmatch(url)
-        line_settings = dict(parse_qsl(rtu[2] or "", keep_blank_values=True)) if rtu else {}
+        line_settings = (
+            dict(parse_qsl(rtu[2] or "", keep_blank_values=True)) if rtu else {}
+        )
         wrong = []
         for key, value in line_settings.items():
             if not re.fullmatch(_KEYS.get(key, "(?!)"), value, re.A):
@@ -117,10 +123,18 @@ class ModbusDevice:
             baud = int(keys["baud"])
             self._unit = int(keys["unit"])
             self._client = ModbusSerialClient(
-                rtu[1], baudrate=baud, timeout=_PATIENCE, retries=0, trace_packet=self._trace
+                rtu[1],
+                baudrate=baud,
+                timeout=_PATIENCE,
+                retries=0,
+                trace_packet=self._trace,
             )
-            line = partial(Serial, rtu[1], baud, parity=keys["parity"], stopbits=int(keys["stop"]))
-            self._open = partial(line, timeout=_PATIENCE, write_timeout=_PATIENCE, exclusive=True)
+            line = partial(
+                Serial, rtu[1], baud, parity=keys["parity"], stopbits=int(keys["stop"])
+            )
+            self._open = partial(
+                line, timeout=_PATIENCE, write_timeout=_PATIENCE, exclusive=True
+            )
         elif tcp and (port := int(tcp[2] or 502)) < 65536 and int(tcp[3]) < 256:
             host = tcp[1].strip("[]")
             self._unit = int(tcp[3])
@@ -129,7 +143,9 @@ class ModbusDevice:
             )
             self._open = partial(socket.create_connection, (host, port), _PATIENCE)
         else:
-            raise ModbusError(f"{self._text}: {', '.join(wrong) or 'this URL'} cannot be used; {_FORM}")
+            raise ModbusError(
+                f"{self._text}: {', '.join(wrong) or 'this URL'} cannot be used; {_FORM}"
+            )
         self._sent = b""
         self._received = b""
         for answer in _READ_ANSWERS:
@@ -157,7 +173,9 @@ class ModbusDevice:
             raise ModbusError(f"{self._text}: {error}") from None
         except SamplingError as error:
             self._leave()
-            raise ModbusError(f"{self._text}: {error} ({self._quoted}); is this a Modbus device?") from None
+            raise ModbusError(
+                f"{self._text}: {error} ({self._quoted}); is this a Modbus device?"
+            ) from None
 
     def _request(self, table: str, first: int, count: int, where: str) -> Any:
         """The answer to a request, which may be a refusal; raise a ModbusError if none comes."""
@@ -170,10 +188,13 @@ class ModbusDevice:
             "input": client.read_input_registers,
         }
         try:
-            client.socket = client.socket or self._open()  # its own way to connect does not say what failed
+            # its own way to connect does not say what failed
+            client.socket = client.socket or self._open()
             return reads[table](first, count=count, device_id=self._unit)
         except (OSError, ValueError) as error:
-            raise ModbusError(f"{where}: no connection ({error}); check the address") from None
+            raise ModbusError(
+                f"{where}: no connection ({error}); check the address"
+            ) from None
         except ModbusException as error:
             self._leave()
             to_check = "the unit" if self._tcp else "unit, baud, parity and stop"
@@ -188,14 +209,20 @@ class ModbusDevice:
     @property
     def _quoted(self) -> str:
         """The bytes since the last request, in hexadecimal."""
-        return self._received[: self._QUOTED].hex(" ") + (" …" if len(self._received) > self._QUOTED else "")
+        return self._received[: self._QUOTED].hex(" ") + (
+            " …" if len(self._received) > self._QUOTED else ""
+        )
 
     @property
     def _numbers_differ(self) -> str:
         """That request and answer have different numbers, over TCP; empty if not."""
         asked = int.from_bytes(self._sent[:2], "big")
         answered = int.from_bytes(self._received[:2], "big")
-        return f", number {answered} instead of {asked}" if self._tcp and asked != answered else ""
+        return (
+            f", number {answered} instead of {asked}"
+            if self._tcp and asked != answered
+            else ""
+        )
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
         if sending:
@@ -238,29 +265,41 @@ class ModbusDevice:
 class ModbusSource:
     """Reads the places of some channels once per period, in a thread of its own."""
 
-    def __init__(self, device: ModbusDevice, period: float, wanted: list[Channel], receive: Receive) -> None:
+    def __init__(
+        self,
+        device: ModbusDevice,
+        period: float,
+        wanted: list[Channel],
+        receive: Receive,
+    ) -> None:
         """Send nothing yet."""
         self.kinds: dict[str, str] = {}
-        self.lost = ""  # what is not answered becomes stale: there is a reading per period, or none
+        # what is not answered becomes stale: there is a reading per period, or none
+        self.lost = ""
         self._device = device
         self._period = period
         self._channels = wanted
         self._receive = receive
         self._requests = registers.joined(map(registers.span_of, wanted))
-        self._cycles: deque[tuple[int, Values]] = deque(maxlen=3)  # older ones would be stale
+        # older ones would be stale
+        self._cycles: deque[tuple[int, Values]] = deque(maxlen=3)
         self._newest: dict[tuple[str, int], int] = {}
         """The values of the newest cycle."""
         self._trouble = ""
         self._handed = 0.0
         self._thread = Background("modbus", self._run, 3 * _PATIENCE)
 
-    def search(self, waited: float) -> None:  # noqa: ARG002 — a device that is there answers at once
+    def search(self, waited: float) -> None:  # noqa: ARG002
         """Read each place once, and start the thread; raise a ModbusError if one cannot be read."""
         if not self.kinds:
             for channel in self._channels:
                 self._newest |= self._first(channel)
-            self._requests = [part for request in self._requests for part in self._accepted(request)]
-            self.kinds = dict.fromkeys((channel.topic for channel in self._channels), "")
+            self._requests = [
+                part for request in self._requests for part in self._accepted(request)
+            ]
+            self.kinds = dict.fromkeys(
+                (channel.topic for channel in self._channels), ""
+            )
             self._thread.start()
 
     def _first(self, channel: Channel) -> Values:
@@ -284,7 +323,9 @@ class ModbusSource:
         """The requests by which a device gives what is in one: that, or one for each place in it."""
         table, first, end = request
         spans = {registers.span_of(channel) for channel in self._channels}
-        inside = sorted(span for span in spans if span[0] == table and first <= span[1] < end)
+        inside = sorted(
+            span for span in spans if span[0] == table and first <= span[1] < end
+        )
         try:
             self._device.surely(request)
         except RefusedReadError:
@@ -310,7 +351,11 @@ class ModbusSource:
     def trouble(self, topic: str) -> str:
         """Why the newest cycle was dropped, or the order in which a number would be a reading."""
         newest = self._newest
-        doubts = [registers.doubt(newest, channel) for channel in self._channels if channel.topic == topic]
+        doubts = [
+            registers.doubt(newest, channel)
+            for channel in self._channels
+            if channel.topic == topic
+        ]
         return self._trouble or next(filter(None, doubts), "")
 
     def news(self) -> list[str]:
@@ -342,7 +387,9 @@ class ModbusSource:
             due += self._period * (1 + late // self._period)
 
 
-def open_source(url: str, period: float, channels: list[Channel], receive: Receive) -> ModbusSource:
+def open_source(
+    url: str, period: float, channels: list[Channel], receive: Receive
+) -> ModbusSource:
     """The places of the device at a URL; raise a ModbusError if it cannot be used."""
     return ModbusSource(ModbusDevice(url), period, channels, receive)
 
@@ -370,4 +417,7 @@ def _readable(device: ModbusDevice, table: str, first: int, end: int) -> Values:
         if end - first == 1:
             return {}
     middle = (first + end) // 2
-    return {**_readable(device, table, first, middle), **_readable(device, table, middle, end)}
+    return {
+        **_readable(device, table, first, middle),
+        **_readable(device, table, middle, end),
+    }

@@ -87,10 +87,14 @@ class Broker:
         except ValueError as error:
             raise BrokerError(f"{shown}: {error}; write mqtt://HOST:PORT") from None
         if parts.scheme not in _PORTS or not parts.hostname or parts.path.strip("/"):
-            raise BrokerError(f"{shown}: write mqtt://HOST, mqtts://HOST or mqtt://USER@HOST:PORT")
+            raise BrokerError(
+                f"{shown}: write mqtt://HOST, mqtts://HOST or mqtt://USER@HOST:PORT"
+            )
         if parts.password is not None:
             why = "a command line is visible to all; write the password into a file of its own"
-            raise BrokerError(f"mqtt://{parts.hostname}: {why} and give ?password_file=FILE")
+            raise BrokerError(
+                f"mqtt://{parts.hostname}: {why} and give ?password_file=FILE"
+            )
         keys = dict(parse_qsl(parts.query, keep_blank_values=True))
         for key in keys:
             if key not in (*_KEYS, *other_keys):
@@ -100,7 +104,9 @@ class Broker:
         named = keys.pop("password_file", "")
         user = unquote(parts.username or "")
         if named and not user:
-            raise BrokerError(f"{shown}: a password without a user; write mqtt://USER@HOST")
+            raise BrokerError(
+                f"{shown}: a password without a user; write mqtt://USER@HOST"
+            )
         try:
             password = Path(named).read_text("utf-8").strip() if named else ""
         except (OSError, ValueError) as error:
@@ -135,9 +141,13 @@ class Broker:
         client = Client(CallbackAPIVersion.VERSION2)
         if self.secure:
             try:
-                client.tls_set_context(ssl.create_default_context(cafile=self.ca or None))
+                client.tls_set_context(
+                    ssl.create_default_context(cafile=self.ca or None)
+                )
             except (OSError, ssl.SSLError) as error:
-                raise BrokerError(f"mqtts://{self.text}: {self.ca} is not a certificate ({error})") from None
+                raise BrokerError(
+                    f"mqtts://{self.text}: {self.ca} is not a certificate ({error})"
+                ) from None
         if self.user:
             client.username_pw_set(self.user, self.password or None)
         if will is not None:
@@ -159,10 +169,14 @@ class Broker:
         try:
             client.connect(self.host, self.port, TIMES.keepalive)
         except (OSError, ValueError) as error:
-            raise BrokerError(f"no MQTT broker at {self.text} ({error}); check that it runs") from None
+            raise BrokerError(
+                f"no MQTT broker at {self.text} ({error}); check that it runs"
+            ) from None
         client.loop_start()
         if not answered.wait(TIMES.first_connection) or first:
             leave(client)
             why = first or f"it does not answer within {TIMES.first_connection:g} s"
-            raise BrokerError(f"the MQTT broker at {self.text} does not let us in: {why}")
+            raise BrokerError(
+                f"the MQTT broker at {self.text} does not let us in: {why}"
+            )
         return client

@@ -41,7 +41,9 @@ class MqttSource:
     _WAITING: Final = 100_000
     """Most messages that wait; the oldest are dropped."""
 
-    def __init__(self, broker: Broker, channels: list[Channel], receive: Receive) -> None:
+    def __init__(
+        self, broker: Broker, channels: list[Channel], receive: Receive
+    ) -> None:
         """Connect and subscribe.
 
         Raises:
@@ -82,7 +84,9 @@ class MqttSource:
             try:
                 document = document_of(bytes(message.payload))
             except UnreadableError as error:
-                self._receive(topic, self._unreadable_reader(error), retained=message.retain)
+                self._receive(
+                    topic, self._unreadable_reader(error), retained=message.retain
+                )
                 continue
             try:
                 place = self._broker.more.get(_TIME)
@@ -90,7 +94,9 @@ class MqttSource:
             except SamplingError as error:
                 self._miss(topic, str(error))
                 continue
-            self._receive(topic, self._reader(topic, document), stamp, retained=message.retain)
+            self._receive(
+                topic, self._reader(topic, document), stamp, retained=message.retain
+            )
 
     @property
     def lost(self) -> str:
@@ -101,7 +107,11 @@ class MqttSource:
     def trouble(self, topic: str) -> str:
         """That the newest messages have no number, or topics that cannot be read."""
         count, why = self._amiss.get(topic, (0, ""))
-        without = f"{count} messages on {topic} without a number, the last: {why}" if count else ""
+        without = (
+            f"{count} messages on {topic} without a number, the last: {why}"
+            if count
+            else ""
+        )
         return without or unreadable_words(self._unreadable)
 
     def news(self) -> list[str]:
@@ -118,7 +128,9 @@ class MqttSource:
         for topic in self.kinds:
             client.subscribe(topic, 1)
 
-    def _reader(self, topic: str, document: Any) -> Callable[[Channel], float | str | None]:
+    def _reader(
+        self, topic: str, document: Any
+    ) -> Callable[[Channel], float | str | None]:
         def read(channel: Channel) -> float | str | None:
             value = value_at(document, channel.path)
             if value is None:
@@ -132,8 +144,10 @@ class MqttSource:
 
         return read
 
-    def _unreadable_reader(self, error: UnreadableError) -> Callable[[Channel], float | str | None]:
-        def read(channel: Channel) -> float | str | None:  # noqa: ARG001 — it is so at each
+    def _unreadable_reader(
+        self, error: UnreadableError
+    ) -> Callable[[Channel], float | str | None]:
+        def read(channel: Channel) -> float | str | None:  # noqa: ARG001
             raise UnreadableError(str(error))
 
         return read
@@ -161,10 +175,14 @@ class MqttSource:
             self._named[channel] = named
             if steps_of(named) != steps_of(channel.path):
                 place = place_text(channel._replace(path=named))
-                self._news.append(f"{channel.text} is chosen by its place in a list; safer by name: {place}")
+                self._news.append(
+                    f"{channel.text} is chosen by its place in a list; safer by name: {place}"
+                )
         elif named != self._named[channel]:
             place = place_text(channel._replace(path=self._named[channel]))
-            raise UnreadableError(f"its place in the list has {named} now; choose it by name: {place}")
+            raise UnreadableError(
+                f"its place in the list has {named} now; choose it by name: {place}"
+            )
 
     def _miss(self, topic: str, why: str) -> None:
         self._amiss[topic] = self._amiss.get(topic, (0, ""))[0] + 1, why
@@ -175,7 +193,12 @@ def unreadable_words(count: int) -> str:
     return f"{count} messages left out, whose topics are not UTF-8" if count else ""
 
 
-def open_source(url: str, period: float, channels: list[Channel], receive: Receive) -> MqttSource:  # noqa: ARG001
+def open_source(
+    url: str,
+    period: float,  # noqa: ARG001
+    channels: list[Channel],
+    receive: Receive,
+) -> MqttSource:
     """The topics of the broker at a URL; see `Broker.parse`.
 
     `?time=PATH` names where each payload says when its values were measured.
@@ -207,7 +230,8 @@ def listing(url: str, where: str) -> Iterator[str]:
         topic = topic_of(message)
         if topic is None:
             unreadable += 1
-        elif topic_matches_sub(chosen, topic):  # some brokers send what they have kept, whatever was asked
+        elif topic_matches_sub(chosen, topic):
+            # some brokers send what they have kept, whatever was asked
             heard.take(topic, bytes(message.payload))
 
     client = Broker.parse(url, (_TIME,)).connected(subscribe, hear)

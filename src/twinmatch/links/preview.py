@@ -40,7 +40,10 @@ class _Preview:
                     self._newest[channel] = value
             if len(self._newest) < len(set(self._followed.channels)):
                 return
-            numbers = [self._followed.number(self._newest[channel]) for channel in self._followed.channels]
+            numbers = [
+                self._followed.number(self._newest[channel])
+                for channel in self._followed.channels
+            ]
             self.value = self._followed.value(numbers, time.monotonic())
             self._why = ""
         except SamplingError as error:
@@ -51,7 +54,8 @@ class _Preview:
         """The signal's number and of what it is made, or why there is none."""
         source = self._followed.source
         parts = [
-            f"{channel.text} is {self._newest.get(channel, 'silent')}" for channel in self._followed.channels
+            f"{channel.text} is {self._newest.get(channel, 'silent')}"
+            for channel in self._followed.channels
         ]
         made = f"{source.text}; {', '.join(parts)}"
         if not math.isfinite(self.value):
@@ -71,9 +75,19 @@ def previewed(url: str, signal_map: SignalMap) -> Iterator[str]:
     for signal, source in signal_map.sources.items():
         places = source.channels(signal, protocol.parse_place)
         channels.extend(places)
-        previews.append(_Preview(signal, source.follow(signal, source.unit, places, [""] * len(places))))
+        previews.append(
+            _Preview(
+                signal, source.follow(signal, source.unit, places, [""] * len(places))
+            )
+        )
 
-    def receive(topic: str, read: Read, stamp: int = 0, *, retained: bool = False) -> None:  # noqa: ARG001
+    def receive(
+        topic: str,
+        read: Read,
+        stamp: int = 0,  # noqa: ARG001
+        *,
+        retained: bool = False,  # noqa: ARG001
+    ) -> None:
         for preview in previews:
             preview.take(topic, read)
 
@@ -81,7 +95,9 @@ def previewed(url: str, signal_map: SignalMap) -> Iterator[str]:
     try:
         opened.search(0.0)
         until = time.monotonic() + _LONGEST
-        while time.monotonic() < until and not all(math.isfinite(preview.value) for preview in previews):
+        while time.monotonic() < until and not all(
+            math.isfinite(preview.value) for preview in previews
+        ):
             opened.poll()
             time.sleep(_POLLS)
         news = opened.news()

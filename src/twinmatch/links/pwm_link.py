@@ -110,15 +110,23 @@ class LinkSettings:
     """
 
     timeout: float = setting(
-        0.2, "Longest wait for an answer of the board, by the wall clock.", "s", 0.01, 2.0
+        0.2,
+        "Longest wait for an answer of the board, by the wall clock.",
+        "s",
+        0.01,
+        2.0,
     )  # with all retries it must stay below the board's deadline
     retries: int = setting(2, "Retries of an unanswered request.", "", 0, 10)
 
     def __post_init__(self) -> None:
         if not 0 < self.timeout < math.inf:
-            raise PwmRangeError(f"PWM link: timeout is {self.timeout} s; it must be positive")
+            raise PwmRangeError(
+                f"PWM link: timeout is {self.timeout} s; it must be positive"
+            )
         if self.retries < 0:
-            raise PwmRangeError(f"PWM link: retries is {self.retries}; it must be 0 or more")
+            raise PwmRangeError(
+                f"PWM link: retries is {self.retries}; it must be 0 or more"
+            )
 
 
 def open_port(port: str, timeout: float) -> serial.Serial:
@@ -131,12 +139,16 @@ def open_port(port: str, timeout: float) -> serial.Serial:
         PwmPortMissingError: it cannot be opened.
     """
     try:
-        wire = serial.Serial(port, BAUD_RATE, timeout=timeout, write_timeout=timeout, exclusive=True)
+        wire = serial.Serial(
+            port, BAUD_RATE, timeout=timeout, write_timeout=timeout, exclusive=True
+        )
         wire.reset_input_buffer()
     except (*WIRE_ERRORS, ValueError) as error:
         busy = getattr(error, "errno", None) in (errno.EBUSY, errno.EAGAIN)
         if busy or "exclusively lock" in str(error):
-            raise PwmPortBusyError(f"PWM link: another program holds {port}; end it first") from error
+            raise PwmPortBusyError(
+                f"PWM link: another program holds {port}; end it first"
+            ) from error
         msg = f"PWM link: {port} cannot be opened ({error}); check the cable and your access to the port"
         raise PwmPortMissingError(msg) from error
     return wire
@@ -152,7 +164,9 @@ class Patience:
     _SHORT: Final = 0.005
     """Wait for a reply of a board in step, s."""
 
-    def __init__(self, timeout: float, plant_time: Callable[[], float | None] | None = None) -> None:
+    def __init__(
+        self, timeout: float, plant_time: Callable[[], float | None] | None = None
+    ) -> None:
         self._plant_time = plant_time or (lambda: None)
         self._end = time.monotonic() + timeout
         self._plant_end = (self._plant_time() or 0.0) + timeout
@@ -337,7 +351,9 @@ class PwmLink:
     def _ask(self, verb: Verb, pwm: int = 0) -> Reply:
         """Send a request and return its reply, with retries under the same sequence number."""
         if self._wire is None:
-            raise PwmPortLostError(f"PWM link: {self.port} is not open; open() or reopen() it")
+            raise PwmPortLostError(
+                f"PWM link: {self.port} is not open; open() or reopen() it"
+            )
         line = self._talk.ask(verb, pwm)
         for attempt in range(self.settings.retries + 1):
             if attempt:
@@ -374,13 +390,17 @@ class PwmLink:
             why = f"requests arrive damaged ({code.value}); check the cable"
             return PwmRejectedError(f"{failure}: {why}", code)
         if talk.damaged:
-            return PwmCorruptReplyError(f"{failure}: {talk.damaged} arrived damaged; check the cable")
+            return PwmCorruptReplyError(
+                f"{failure}: {talk.damaged} arrived damaged; check the cable"
+            )
         if talk.stale:
             return PwmStaleReplyError(
                 f"{failure}: {talk.stale} replies were to earlier requests; is the machine overloaded?"
             )
         wait = f"{self.settings.timeout:g} s"
-        return PwmTimeoutError(f"{failure} of {wait}; is this the right port, and is the board running?")
+        return PwmTimeoutError(
+            f"{failure} of {wait}; is this the right port, and is the board running?"
+        )
 
     def _rejection(self, reply: Reply) -> PwmRejectedError:
         code = reply.code if isinstance(reply, Refusal) else Code.UNKNOWN
@@ -415,4 +435,9 @@ class PwmLink:
 
 
 def _applied(status: BoardStatus) -> Applied:
-    return Applied(status.applied, status.adc * AMPERES_PER_COUNT, status.flags, status.time_ms / 1000)
+    return Applied(
+        status.applied,
+        status.adc * AMPERES_PER_COUNT,
+        status.flags,
+        status.time_ms / 1000,
+    )

@@ -96,7 +96,11 @@ def _open(line: bytes) -> bytes | Damage:
     line = line[:-1] if line.endswith(b"\r") else line
     payload = line[:-_TAIL]
     tail = line[-_TAIL:]
-    if not payload or not tail.startswith(b"*") or not all(0x20 <= byte <= 0x7E for byte in payload):
+    if (
+        not payload
+        or not tail.startswith(b"*")
+        or not all(0x20 <= byte <= 0x7E for byte in payload)
+    ):
         return Damage.CHECKSUM
     if len(payload) > MAX_PAYLOAD:
         return Damage.LENGTH
@@ -118,8 +122,11 @@ _SIGNED = r"(0|-?[1-9]\d{0,4})"
 _ANY_REQUEST = re.compile(rf"(.) {_NUMBER}(?: .*)?", re.ASCII)
 _SET = re.compile(rf"P {_NUMBER} {_SIGNED}", re.ASCII)
 _PLAIN = re.compile(rf"[HQC] {_NUMBER}", re.ASCII)
-_BANNER = re.compile(rf"B {_NUMBER} (\S+) {_NUMBER} {_NUMBER} {_NUMBER} {_NUMBER}", re.ASCII)
-_FOREIGN = re.compile(rf"B {_NUMBER} (\S+) {_NUMBER}(?: .*)?", re.ASCII)  # common to all versions
+_BANNER = re.compile(
+    rf"B {_NUMBER} (\S+) {_NUMBER} {_NUMBER} {_NUMBER} {_NUMBER}", re.ASCII
+)
+# common to all versions
+_FOREIGN = re.compile(rf"B {_NUMBER} (\S+) {_NUMBER}(?: .*)?", re.ASCII)
 _STATUS = re.compile(rf"S {_NUMBER} {_NUMBER} {_SIGNED} {_NUMBER} {_NUMBER}", re.ASCII)
 _REFUSAL = re.compile(rf"E (-|{_NUMBER}) ([A-Z_]+)", re.ASCII)
 
@@ -249,7 +256,11 @@ def parse_request(payload: bytes) -> Request | Refusal:
     if match is None:
         return Refusal(sequence, Code.SYNTAX)
     pwm = int(match[2])
-    return Request(Verb.SET, sequence, pwm) if abs(pwm) <= PWM_LIMIT else Refusal(sequence, Code.RANGE)
+    return (
+        Request(Verb.SET, sequence, pwm)
+        if abs(pwm) <= PWM_LIMIT
+        else Refusal(sequence, Code.RANGE)
+    )
 
 
 def parse_reply(payload: bytes) -> Reply | None:
@@ -260,11 +271,16 @@ def parse_reply(payload: bytes) -> Reply | None:
     text = payload.decode("latin-1")
     if match := _STATUS.fullmatch(text):
         sequence, time_ms, applied, adc, flags = map(int, match.groups())
-        return _check(sequence, BoardStatus(sequence, time_ms, applied, adc, Flags(flags)))
+        return _check(
+            sequence, BoardStatus(sequence, time_ms, applied, adc, Flags(flags))
+        )
     if match := _BANNER.fullmatch(text):
         sequence = int(match[1])
         protocol, reset_flags, deadline, restarts = map(int, match.groups()[2:])
-        return _check(sequence, Banner(sequence, match[2], protocol, reset_flags, deadline, restarts))
+        return _check(
+            sequence,
+            Banner(sequence, match[2], protocol, reset_flags, deadline, restarts),
+        )
     if match := _FOREIGN.fullmatch(text):
         sequence = int(match[1])
         protocol = int(match[3])
@@ -340,7 +356,10 @@ class Conversation:
             self.spoiled = True
         elif reply is not None and reply.sequence != self._request.sequence:
             self.stale += 1
-        elif not isinstance(reply, (Refusal, Banner if self._request.verb is Verb.HELLO else BoardStatus)):
+        elif not isinstance(
+            reply,
+            (Refusal, Banner if self._request.verb is Verb.HELLO else BoardStatus),
+        ):
             self.damaged += 1
             self.spoiled = True
         else:

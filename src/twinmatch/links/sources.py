@@ -24,7 +24,9 @@ class WireProtocol(Protocol):
             SamplingError: it is not one.
         """
 
-    def open_source(self, url: str, period: float, channels: list[Channel], receive: Receive) -> Source:
+    def open_source(
+        self, url: str, period: float, channels: list[Channel], receive: Receive
+    ) -> Source:
         """Connect, and read these channels; `period` (s) is that of the samples.
 
         Raises:
@@ -50,12 +52,17 @@ def protocol_of(url: str) -> WireProtocol:
     source_modules = sorted(name for name in modules if name.endswith(_SUFFIX))
     modules_by_scheme = {name.removesuffix(_SUFFIX): name for name in source_modules}
     plain_schemes = (scheme, scheme.removesuffix("s"), scheme.partition("+")[0])
-    scheme_name = next((name for name in plain_schemes if name in modules_by_scheme), "")
+    scheme_name = next(
+        (name for name in plain_schemes if name in modules_by_scheme), ""
+    )
     if not (colon and scheme_name):
         forms = " or ".join(f"{name}://…" for name in modules_by_scheme)
         raise SamplingError(f"source: {url!r} has no known beginning; write {forms}")
     try:
-        return cast("WireProtocol", import_module(f"{links.__name__}.{modules_by_scheme[scheme_name]}"))
+        return cast(
+            "WireProtocol",
+            import_module(f"{links.__name__}.{modules_by_scheme[scheme_name]}"),
+        )
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         raise SamplingError(

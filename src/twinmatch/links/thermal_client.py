@@ -58,13 +58,20 @@ class StampMapper:
 
     def map(self, stamp: int, received: int) -> int:
         """Time on our clock, ns, at which a frame stamped `stamp` and received at `received` was taken."""
-        if self._stretch_start is None or received - self._stretch_start >= self._memory:
+        if (
+            self._stretch_start is None
+            or received - self._stretch_start >= self._memory
+        ):
             self._stretch_start = received
             self._previous = self._current
             self._current = None
         difference = received - stamp
-        self._current = difference if self._current is None else min(self._current, difference)
-        return stamp + min(self._current, self._current if self._previous is None else self._previous)
+        self._current = (
+            difference if self._current is None else min(self._current, difference)
+        )
+        return stamp + min(
+            self._current, self._current if self._previous is None else self._previous
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +91,9 @@ _DEFAULTS = ClientSettings()
 
 def back_off(failures: int, settings: ClientSettings = _DEFAULTS) -> float:
     """Time to wait after this many failures in a row (1, 2, …), s: doubling, capped, without jitter."""
-    return float(min(settings.first_wait * 2.0 ** min(failures - 1, 60), settings.longest_wait))
+    return float(
+        min(settings.first_wait * 2.0 ** min(failures - 1, 60), settings.longest_wait)
+    )
 
 
 class LinkState(Enum):
@@ -230,10 +239,14 @@ def region(exposure: Exposure, roi: Region | None = None) -> RegionStatistics:
                 f"region: {roi.rows} by {roi.columns} pixels from row {roi.row}, column {roi.column} "
                 f"leave the image of {rows} by {columns}"
             )
-        degrees = degrees[roi.row : roi.row + roi.rows, roi.column : roi.column + roi.columns]
+        degrees = degrees[
+            roi.row : roi.row + roi.rows, roi.column : roi.column + roi.columns
+        ]
     valid = degrees[np.isfinite(degrees)]
     if not valid.size:
-        raise RegionError("region: every pixel is outside the camera's range; point the camera at the plate")
+        raise RegionError(
+            "region: every pixel is outside the camera's range; point the camera at the plate"
+        )
     return RegionStatistics(
         mean=float(valid.mean()),
         variance=float(valid.var()),
@@ -252,7 +265,10 @@ class ThermalClient(Background):
     _CONNECT_TIMEOUT: Final = 2.0
 
     def __init__(
-        self, host: str = "127.0.0.1", port: int = DEFAULT_PORT, settings: ClientSettings = _DEFAULTS
+        self,
+        host: str = "127.0.0.1",
+        port: int = DEFAULT_PORT,
+        settings: ClientSettings = _DEFAULTS,
     ) -> None:
         super().__init__(f"thermal {host}:{port}", self._keep_receiving, 3.0)
         self.address = (host, port)
@@ -300,7 +316,9 @@ class ThermalClient(Background):
 
         def ready() -> bool:
             newest = self._newest
-            return self.ending.is_set() or (newest is not None and newest.number > after)
+            return self.ending.is_set() or (
+                newest is not None and newest.number > after
+            )
 
         with self._arrived:
             self._arrived.wait_for(ready, timeout)
@@ -343,9 +361,15 @@ class ThermalClient(Background):
             self._socket = connection
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _Reader.BUFFER)
             self._status = replace(
-                self._status, state=LinkState.STREAMING, connections=self._status.connections + 1
+                self._status,
+                state=LinkState.STREAMING,
+                connections=self._status.connections + 1,
             )
-            reader = _Reader(connection, f"thermal camera at {host}:{port}", self.settings.stall_timeout)
+            reader = _Reader(
+                connection,
+                f"thermal camera at {host}:{port}",
+                self.settings.stall_timeout,
+            )
             previous: ThermalFrame | None = None
             while not self.ending.is_set():
                 reader.begin()
@@ -358,7 +382,9 @@ class ThermalClient(Background):
         received_at = time.monotonic_ns()
         if previous is not None:
             if frame.boot_id != previous.boot_id:
-                raise ThermalOrderError("thermal stream: the boot id changed within one connection")
+                raise ThermalOrderError(
+                    "thermal stream: the boot id changed within one connection"
+                )
             if frame.sequence <= previous.sequence:
                 msg = f"thermal stream: frame {frame.sequence} follows frame {previous.sequence}"
                 raise ThermalOrderError(msg)
@@ -375,7 +401,8 @@ class ThermalClient(Background):
             status,
             frames=status.frames + 1,
             frozen=status.frozen + (not news),
-            missed=status.missed + (0 if previous is None else frame.sequence - previous.sequence - 1),
+            missed=status.missed
+            + (0 if previous is None else frame.sequence - previous.sequence - 1),
             restarts=status.restarts + restarted,
             failures=0,
         )

@@ -151,7 +151,11 @@ class Exposure:
             msg = f"thermal frame: flat_field is {self.flat_field!r}; give a FlatField or None"
             raise FrameFieldError(msg)
         resolution = self.resolution
-        if not (isinstance(resolution, float) and math.isfinite(resolution) and 0 < resolution <= 1):
+        if not (
+            isinstance(resolution, float)
+            and math.isfinite(resolution)
+            and 0 < resolution <= 1
+        ):
             msg = f"thermal frame: resolution is {resolution!r}; it must lie in (0, 1] K per count"
             raise FrameFieldError(msg)
 
@@ -185,10 +189,13 @@ class ThermalFrame(Exposure):
     """Identifies the run of the server; a new one means that all counters and clocks restarted."""
 
     def __post_init__(self) -> None:
-        Exposure.__post_init__(self)  # super() without arguments does not find its class under slots
+        # super() without arguments does not find its class under slots
+        Exposure.__post_init__(self)
         _check_integer("sequence", self.sequence, 2**63)
         if not isinstance(self.boot_id, bytes) or len(self.boot_id) != BOOT_ID_LENGTH:
-            raise FrameFieldError(f"thermal frame: boot_id is {self.boot_id!r}; give {BOOT_ID_LENGTH} bytes")
+            raise FrameFieldError(
+                f"thermal frame: boot_id is {self.boot_id!r}; give {BOOT_ID_LENGTH} bytes"
+            )
 
 
 def _check_integer(name: str, value: object, limit: int) -> None:
@@ -199,10 +206,14 @@ def _check_integer(name: str, value: object, limit: int) -> None:
 
 def _check_image(image: object) -> None:
     if not isinstance(image, np.ndarray):
-        raise FrameFieldError(f"thermal frame: the image is a {type(image).__name__}; give an array")
+        raise FrameFieldError(
+            f"thermal frame: the image is a {type(image).__name__}; give an array"
+        )
     if image.dtype != np.uint16 or image.ndim != 2:
         layout = f"{image.dtype} of shape {image.shape}"
-        raise FrameFieldError(f"thermal frame: the image is {layout}; give uint16 counts in rows and columns")
+        raise FrameFieldError(
+            f"thermal frame: the image is {layout}; give uint16 counts in rows and columns"
+        )
     if not all(1 <= side <= MAX_SIDE for side in image.shape):
         msg = f"thermal frame: the image has shape {image.shape}; each side must be 1 to {MAX_SIDE}"
         raise FrameFieldError(msg)
@@ -245,7 +256,9 @@ def encode_frame(frame: ThermalFrame) -> bytes:
     pixels = frame.image.astype("<u2", copy=False).tobytes()
     values = {key: getattr(frame, name) for key, name in _FIELDS.items()}
     typed_pixels = cbor2.CBORTag(_ArrayTag.UINT16_LITTLE_ENDIAN, pixels)
-    values["img"] = cbor2.CBORTag(_ArrayTag.TWO_DIMENSIONS, [list(frame.image.shape), typed_pixels])
+    values["img"] = cbor2.CBORTag(
+        _ArrayTag.TWO_DIMENSIONS, [list(frame.image.shape), typed_pixels]
+    )
     values["ffc"] = None if frame.flat_field is None else int(frame.flat_field)
     values["flags"] = int(frame.flags)
     item: bytes = cbor2.dumps({"v": WIRE_VERSION, **values, "crc": bytes(_CRC_LENGTH)})
@@ -268,7 +281,9 @@ def read_frame(read: Callable[[int], bytes]) -> ThermalFrame:
         # Some releases of cbor2 recurse per level of nesting, and the limit may strike within our read.
         if tap.failure is not None and not isinstance(tap.failure, RecursionError):
             raise tap.failure from None
-        raise FrameSyntaxError(f"thermal frame: not CBOR after {len(tap.taken)} bytes ({error})") from error
+        raise FrameSyntaxError(
+            f"thermal frame: not CBOR after {len(tap.taken)} bytes ({error})"
+        ) from error
     return _frame(value, bytes(tap.taken))
 
 
@@ -304,7 +319,9 @@ class _Tap:
 
 def _frame(value: object, raw: bytes) -> ThermalFrame:
     if not isinstance(value, dict):
-        raise FrameSyntaxError(f"thermal frame: a CBOR {type(value).__name__} instead of a map")
+        raise FrameSyntaxError(
+            f"thermal frame: a CBOR {type(value).__name__} instead of a map"
+        )
     version = value.get("v")
     if type(version) is int and version != WIRE_VERSION:
         msg = f"thermal frame: format version {version}; this program reads version {WIRE_VERSION}"
@@ -341,7 +358,9 @@ def _image(value: object) -> CountArray:
             tag=_ArrayTag.TWO_DIMENSIONS,
             value=[
                 [int() as rows, int() as columns],
-                cbor2.CBORTag(tag=_ArrayTag.UINT16_LITTLE_ENDIAN, value=bytes() as pixels),
+                cbor2.CBORTag(
+                    tag=_ArrayTag.UINT16_LITTLE_ENDIAN, value=bytes() as pixels
+                ),
             ],
         ) if rows >= 0 and columns >= 0:
             pass
@@ -351,4 +370,5 @@ def _image(value: object) -> CountArray:
     if len(pixels) != 2 * rows * columns:
         msg = f"thermal frame: img has {len(pixels)} bytes for {rows} by {columns} pixels of two bytes"
         raise FrameFieldError(msg)
-    return np.frombuffer(pixels, dtype="<u2").reshape(rows, columns)  # the exposure checks its sides
+    # the exposure checks its sides
+    return np.frombuffer(pixels, dtype="<u2").reshape(rows, columns)

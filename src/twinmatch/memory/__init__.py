@@ -5,7 +5,12 @@ session. `Memory` is the file of them. `start_from` gives the candidates that a 
 `report_on` compares the sessions and names steps and trends. All but `Memory` is pure.
 """
 
-from twinmatch.memory.changes import MemoryReport, ParameterChange, report_on, shared_structure
+from twinmatch.memory.changes import (
+    MemoryReport,
+    ParameterChange,
+    report_on,
+    shared_structure,
+)
 from twinmatch.memory.learning import SessionEvidence, digest_of, lessons_of
 from twinmatch.memory.lesson import Lesson, MemoryFaultError, current_lessons, in_order
 from twinmatch.memory.start import start_from

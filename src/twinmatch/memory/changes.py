@@ -108,7 +108,9 @@ class ParameterHistory(NamedTuple):
 
     def part(self, first: int, end: int) -> ParameterHistory:
         """Some of the sessions."""
-        return self._replace(values=self.values[first:end], deviations=self.deviations[first:end])
+        return self._replace(
+            values=self.values[first:end], deviations=self.deviations[first:end]
+        )
 
 
 @dataclass(frozen=True)
@@ -152,21 +154,33 @@ class ParameterChange:
             values = f"{self.old:.3g} → {self.new:.3g}{unit}"
             text = f"since {self.since} the {self.words} is {self._amount(self.size)} {word} ({values})"
             return f"{text}; before and after it was steady"
-        rate = math.expm1(math.log1p(self.size) / self.days) if self.relative else self.size / self.days
+        rate = (
+            math.expm1(math.log1p(self.size) / self.days)
+            if self.relative
+            else self.size / self.days
+        )
         word = "rises" if self.size > 0 else "falls"
         per = "day" if self.dated else "session"
         text = f"the {self.words} {word} by {self._amount(rate)} a {per}"
         return text + self._leaving(per)
 
     def _amount(self, size: float) -> str:
-        return f"{100 * abs(size):.2g} %" if self.relative else f"{abs(size):.2g} {self.unit}".rstrip()
+        return (
+            f"{100 * abs(size):.2g} %"
+            if self.relative
+            else f"{abs(size):.2g} {self.unit}".rstrip()
+        )
 
     @property
     def leaves(self) -> tuple[float, float, float] | None:
         """Days or sessions until a trend leaves the bounds, expected, and the ends of its 90 % interval; None
         for a step, and where there are no bounds."""
         bound = self.bounds[1] if self.size > 0 else self.bounds[0]
-        if self.kind == "step" or not math.isfinite(bound) or (self.relative and bound <= 0.0):
+        if (
+            self.kind == "step"
+            or not math.isfinite(bound)
+            or (self.relative and bound <= 0.0)
+        ):
             return None
         if self.relative:
             distance = abs(math.log(bound / self.new))
@@ -185,7 +199,9 @@ class ParameterChange:
         if self.leaves is None:
             return ""
         expected, low, high = self.leaves
-        end = f"{low:.0f} to {high:.0f}" if math.isfinite(high) else f"{low:.0f} or more"
+        end = (
+            f"{low:.0f} to {high:.0f}" if math.isfinite(high) else f"{low:.0f} or more"
+        )
         return f": at this rate it leaves the range of the plant file in {expected:.0f} {per}s, 90 %: {end}"
 
 
@@ -207,7 +223,10 @@ class MemoryReport(NamedTuple):
         if count < least:
             return f"what changes shows from {least} sessions on, and only {count} can be compared"
         words = "; ".join(change.sentence for change in self.changes)
-        words = words or f"between these {count} sessions nothing has changed by more than they vary"
+        words = (
+            words
+            or f"between these {count} sessions nothing has changed by more than they vary"
+        )
         if not self.restless:
             return words
         return f"{words}; another one in every session: the {' and the '.join(self.restless)}"
@@ -217,11 +236,14 @@ def report_on(lessons: Sequence[Lesson], model: Model) -> MemoryReport:
     """What has changed between these sessions of one plant and rig, all on the structure of the model."""
     newest = in_order(lessons)[-MAX_SESSIONS:]
     if len(newest) < 2 * MIN_SIDE:
-        return MemoryReport(newest, histories_of(newest, model) if newest else [], [], [])
+        return MemoryReport(
+            newest, histories_of(newest, model) if newest else [], [], []
+        )
     histories = histories_of(newest, model)
     sessions = _SessionTimes.of(newest)
     changes: list[ParameterChange] = []
-    for history in histories:  # parameters first, then combinations of those that are not named by themselves
+    for history in histories:
+        # parameters first, then combinations of those that are not named by themselves
         if not any(change.name in history.parts for change in changes):
             changes += _changes(history, sessions, len(histories))
     changed = {change.name for change in changes}
@@ -280,7 +302,11 @@ def _pair(
     """Ratio or product of two parameters; None unless it is known far better than either."""
     is_ratio = bool(np.median(covariance) > 0.0)
     sign = -1.0 if is_ratio else 1.0
-    variances = np.square(first.deviations) + np.square(second.deviations) + 2.0 * sign * covariance
+    variances = (
+        np.square(first.deviations)
+        + np.square(second.deviations)
+        + 2.0 * sign * covariance
+    )
     deviations = np.sqrt(np.maximum(variances, 1e-12))
     least = min(np.median(first.deviations), np.median(second.deviations))
     if not _TIGHTER * np.median(deviations) < least:
@@ -291,7 +317,9 @@ def _pair(
         name=f"{first.name} {mark} {second.name}",
         words=f"{word} of {first.words} and {second.words}",
         unit="",
-        values=first.values / second.values if is_ratio else first.values * second.values,
+        values=first.values / second.values
+        if is_ratio
+        else first.values * second.values,
         scale=0.0,
         deviations=deviations,
         parts=(*first.parts, *second.parts),
@@ -313,7 +341,9 @@ class _SessionTimes(NamedTuple):
         names = [lesson.name for lesson in lessons]
         began = np.array([lesson.began for lesson in lessons], dtype=np.float64) / _DAY
         dated = bool((np.diff(began) > 0.0).all())
-        return cls(names, began if dated else np.arange(len(lessons), dtype=np.float64), dated)
+        return cls(
+            names, began if dated else np.arange(len(lessons), dtype=np.float64), dated
+        )
 
     def part(self, first: int, end: int) -> _SessionTimes:
         """Some of them."""
@@ -370,7 +400,9 @@ def _fit_at(y: FloatArray, variances: FloatArray, shapes: FloatArray) -> _Fitted
         residuals = y - level[:, None] - size[:, None] * shapes
         squares = np.square(residuals) / variances
         weights = (_ROBUST.degrees + 1.0) / (_ROBUST.degrees + squares) / variances
-    losses = (_ROBUST.degrees + 1.0) * np.log1p(squares / _ROBUST.degrees) + np.log(variances)
+    losses = (_ROBUST.degrees + 1.0) * np.log1p(squares / _ROBUST.degrees) + np.log(
+        variances
+    )
     likelihood = -0.5 * losses.sum(axis=1)
     evidence = likelihood - 0.5 * np.log(determinant)
     evidence = evidence - 0.5 * np.square(size / _ROBUST.size) - math.log(_ROBUST.size)
@@ -381,11 +413,15 @@ def _spread(history: ParameterHistory) -> float:
     """How many times its deviations a parameter scatters between sessions, robustly."""
     levels = history.levels
     return float(
-        MEDIAN_TO_SIGMA * np.median(np.abs(levels - np.median(levels))) / np.median(history.deviations)
+        MEDIAN_TO_SIGMA
+        * np.median(np.abs(levels - np.median(levels)))
+        / np.median(history.deviations)
     )
 
 
-def _changes(history: ParameterHistory, sessions: _SessionTimes, among: int) -> list[ParameterChange]:
+def _changes(
+    history: ParameterHistory, sessions: _SessionTimes, among: int
+) -> list[ParameterChange]:
     """The changes of one parameter, oldest first; `among` is the number of those that are looked at."""
     n = history.values.size
     if n < 2 * MIN_SIDE:
@@ -400,7 +436,9 @@ def _changes(history: ParameterHistory, sessions: _SessionTimes, among: int) -> 
     place = hypotheses.latest_step
     first_after = MIN_SIDE + place
     step = _change(history, sessions, hypotheses, place, evidence)
-    before = _changes(history.part(0, first_after), sessions.part(0, first_after), among)
+    before = _changes(
+        history.part(0, first_after), sessions.part(0, first_after), among
+    )
     after = _changes(history.part(first_after, n), sessions.part(first_after, n), among)
     return [*before, step, *after]
 
@@ -418,11 +456,16 @@ class _Hypotheses(NamedTuple):
     def of(cls, history: ParameterHistory, sessions: _SessionTimes) -> _Hypotheses:
         """Those of a parameter over sessions."""
         n = history.values.size
-        steps = [np.arange(n) >= first_after for first_after in range(MIN_SIDE, n - MIN_SIDE + 1)]
+        steps = [
+            np.arange(n) >= first_after
+            for first_after in range(MIN_SIDE, n - MIN_SIDE + 1)
+        ]
         when = sessions.when
         ramp = (when - when[0]) / (when[-1] - when[0])
         trends = [ramp] if n >= MIN_TREND else []
-        fitted = _fit(history, np.array([np.zeros(n), *steps, *trends], dtype=np.float64))
+        fitted = _fit(
+            history, np.array([np.zeros(n), *steps, *trends], dtype=np.float64)
+        )
         of_changes = _Fitted(*(figures[1:] for figures in fitted))
         return cls(of_changes, of_changes.evidence - fitted.evidence[0], len(steps))
 
@@ -435,7 +478,9 @@ class _Hypotheses(NamedTuple):
         """Evidence for all changes together: half of their probability is that of steps, half of a trend."""
         n_trends = self.evidence.size - self.n_steps
         kinds = np.array([0.5 / self.n_steps] * self.n_steps + [0.5] * n_trends)
-        return float(np.log(kinds @ np.exp(np.minimum(self.evidence, _NAMED_FROM.most))))
+        return float(
+            np.log(kinds @ np.exp(np.minimum(self.evidence, _NAMED_FROM.most)))
+        )
 
     @property
     def is_trend(self) -> bool:
@@ -447,11 +492,19 @@ class _Hypotheses(NamedTuple):
     @property
     def latest_step(self) -> int:
         """Number of the latest credible step: from it on the change is complete."""
-        return int(np.flatnonzero(self.of_steps >= self.of_steps.max() - _NAMED_FROM.moments)[-1])
+        return int(
+            np.flatnonzero(self.of_steps >= self.of_steps.max() - _NAMED_FROM.moments)[
+                -1
+            ]
+        )
 
 
 def _change(
-    history: ParameterHistory, sessions: _SessionTimes, hypotheses: _Hypotheses, place: int, evidence: float
+    history: ParameterHistory,
+    sessions: _SessionTimes,
+    hypotheses: _Hypotheses,
+    place: int,
+    evidence: float,
 ) -> ParameterChange:
     """The change of one of the hypotheses; -1 is the trend."""
     is_step = place >= 0

@@ -46,7 +46,11 @@ class SessionEvidence:
     @property
     def fault_at(self) -> int | None:
         """First sample of the first fault that was reported."""
-        fault_starts = [v.fault_since for v in self.verdicts if v.fault and v.fault_since is not None]
+        fault_starts = [
+            v.fault_since
+            for v in self.verdicts
+            if v.fault and v.fault_since is not None
+        ]
         return min(fault_starts, default=None)
 
     @property
@@ -100,18 +104,26 @@ def _worth_keeping(judged: SessionEvidence) -> list[Model]:
     for verdict in verdicts:
         if verdict.leading is not None:
             names.append(verdict.leading.parameters.model.structure_name)
-    models = [judged.plant.model(name) for name in dict.fromkeys(names) if name in structures]
+    models = [
+        judged.plant.model(name) for name in dict.fromkeys(names) if name in structures
+    ]
     return [model for model in models if not model.is_external and model.structure.free]
 
 
-def _lesson(judged: SessionEvidence, windows: Sequence[Window], model: Model) -> Lesson | None:
+def _lesson(
+    judged: SessionEvidence, windows: Sequence[Window], model: Model
+) -> Lesson | None:
     """The lesson on one structure; None if a parameter is not determined."""
     try:
         fit = _converged_fit(judged, windows, model)
         covariance = observed_covariance(fit, windows, judged.noise, judged.law)
     except (TwinmatchError, np.linalg.LinAlgError):
         return None
-    if fit.bounds_hit or not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance)[0] <= 0.0:
+    if (
+        fit.bounds_hit
+        or not np.isfinite(covariance).all()
+        or np.linalg.eigvalsh(covariance)[0] <= 0.0
+    ):
         return None
     last = judged.before_fault[-1] if judged.before_fault else None
     leader = None if last is None else last.leading
@@ -147,18 +159,26 @@ def _score_of(verdict: Verdict, model: Model) -> ForecastScore | None:
     if leader is not None and leader.parameters.model is model:
         return leader
     scores = [score for score in verdict.forecasts if score.parameters.model is model]
-    return max(scores, key=lambda score: np.nan_to_num(score.gain, nan=-np.inf), default=None)
+    return max(
+        scores, key=lambda score: np.nan_to_num(score.gain, nan=-np.inf), default=None
+    )
 
 
-def _converged_fit(judged: SessionEvidence, windows: Sequence[Window], model: Model) -> StructureFit:
+def _converged_fit(
+    judged: SessionEvidence, windows: Sequence[Window], model: Model
+) -> StructureFit:
     fit = fit_structure(windows, model, noise=judged.noise, law=judged.law)
     for _ in range(_REFITS):
         if fit.converged:
             break
-        fit = fit_structure(windows, model, start=fit, noise=judged.noise, law=judged.law)
+        fit = fit_structure(
+            windows, model, start=fit, noise=judged.noise, law=judged.law
+        )
     return fit
 
 
 def _spans(signals: Sequence[FloatArray]) -> tuple[Span, ...]:
     whole = np.concatenate(signals)
-    return tuple(zip(whole.min(axis=0).tolist(), whole.max(axis=0).tolist(), strict=True))
+    return tuple(
+        zip(whole.min(axis=0).tolist(), whole.max(axis=0).tolist(), strict=True)
+    )

@@ -75,9 +75,19 @@ class Lesson:
     def __post_init__(self) -> None:
         n = len(self.free)
         covariances = list(chain.from_iterable(self.covariance))
-        numbers = [*covariances, *self.parameters.values(), *chain.from_iterable(self.outputs)]
-        if len(covariances) != n * n or not n or not self.parameters.keys() >= {*self.free}:
-            self._refuse(f"{n} free parameters and {len(covariances)} covariances do not belong together")
+        numbers = [
+            *covariances,
+            *self.parameters.values(),
+            *chain.from_iterable(self.outputs),
+        ]
+        if (
+            len(covariances) != n * n
+            or not n
+            or not self.parameters.keys() >= {*self.free}
+        ):
+            self._refuse(
+                f"{n} free parameters and {len(covariances)} covariances do not belong together"
+            )
         if not all(map(math.isfinite, numbers)):
             self._refuse("a value is not finite")
         if not self.outputs or min(covariances[:: n + 1]) < 0.0:
@@ -85,7 +95,9 @@ class Lesson:
 
     def _refuse(self, why: str) -> NoReturn:
         place = f"lesson of {self.name}, {self.structure}"
-        raise MemoryFaultError(f"{place}: {why}; forget the session, and remember it again")
+        raise MemoryFaultError(
+            f"{place}: {why}; forget the session, and remember it again"
+        )
 
     @property
     def values(self) -> FloatArray:
@@ -104,14 +116,20 @@ def current_lessons(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Lesso
     for lesson in lessons:
         if lesson.plant == plant.name and lesson.structure in plant.structures:
             model = plant.model(lesson.structure)
-            if lesson.equations == model.equations and lesson.free == model.structure.free:
+            if (
+                lesson.equations == model.equations
+                and lesson.free == model.structure.free
+            ):
                 current.append(lesson)
     return current
 
 
 def in_order(lessons: Iterable[Lesson]) -> list[Lesson]:
     """Lessons from the oldest to the newest; sessions without a date by their names, numbers as numbers."""
-    return sorted(lessons, key=lambda lesson: (lesson.began, natural(lesson.name), lesson.structure))
+    return sorted(
+        lessons,
+        key=lambda lesson: (lesson.began, natural(lesson.name), lesson.structure),
+    )
 
 
 def natural(name: str) -> str:

@@ -44,7 +44,9 @@ def start_from(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Candidate]
     """
     by_structure = _newest_by_structure(lessons, plant)
     led = {
-        structure: sum(lesson.led and lesson.level == "trusted" for lesson in lessons_of_it)
+        structure: sum(
+            lesson.led and lesson.level == "trusted" for lesson in lessons_of_it
+        )
         for structure, lessons_of_it in by_structure.items()
     }
     order = sorted(by_structure, key=lambda structure: led[structure], reverse=True)
@@ -53,14 +55,24 @@ def start_from(lessons: Iterable[Lesson], plant: type[Plant]) -> list[Candidate]
     candidates = _remembered(by_structure[order[0]], plant.model(order[0]))
     for structure in order[1:]:
         centre = _remembered(by_structure[structure], plant.model(structure))[0]
-        candidates.append(replace(centre, name=f"{CENTRE}, {centre.parameters.model.structure_name}"))
+        candidates.append(
+            replace(centre, name=f"{CENTRE}, {centre.parameters.model.structure_name}")
+        )
     return candidates
 
 
-def _newest_by_structure(lessons: Iterable[Lesson], plant: type[Plant]) -> dict[str, list[Lesson]]:
+def _newest_by_structure(
+    lessons: Iterable[Lesson], plant: type[Plant]
+) -> dict[str, list[Lesson]]:
     """The lessons of the newest sessions that the plant still allows, by structure."""
-    usable = [lesson for lesson in in_order(current_lessons(lessons, plant)) if _possible(lesson, plant)]
-    newest = list(dict.fromkeys(lesson.session for lesson in reversed(usable)))[:MAX_SESSIONS]
+    usable = [
+        lesson
+        for lesson in in_order(current_lessons(lessons, plant))
+        if _possible(lesson, plant)
+    ]
+    newest = list(dict.fromkeys(lesson.session for lesson in reversed(usable)))[
+        :MAX_SESSIONS
+    ]
     by_structure: dict[str, list[Lesson]] = {}
     for lesson in usable:
         if lesson.session in newest:
@@ -77,10 +89,19 @@ def _remembered(lessons: Sequence[Lesson], model: Model) -> list[Candidate]:
     spread = spread_of(values, centre, model)
     covariance = np.diag(np.square(spread))
     base = dict(lessons[-1].parameters) | dict(zip(free, centre.tolist(), strict=True))
-    central = Candidate(CENTRE, float(np.median(levels)), model.parameters(**base), None, free, covariance)
+    central = Candidate(
+        CENTRE,
+        float(np.median(levels)),
+        model.parameters(**base),
+        None,
+        free,
+        covariance,
+    )
     places = _apart((values - centre) / spread)
     twins = []
-    for k, title in zip(places, _titles([lessons[k].name for k in places]), strict=True):
+    for k, title in zip(
+        places, _titles([lessons[k].name for k in places]), strict=True
+    ):
         parameters = model.parameters(**lessons[k].parameters)
         twins.append(Candidate(title, levels[k], parameters, None, free, covariance))
     return [central, *twins]
@@ -91,7 +112,9 @@ def _titles(sessions: Sequence[str]) -> list[str]:
     titles = []
     for number, name in enumerate(sessions):
         earlier = sessions[:number].count(name)
-        titles.append(f"session {name} ({earlier + 1})" if earlier else f"session {name}")
+        titles.append(
+            f"session {name} ({earlier + 1})" if earlier else f"session {name}"
+        )
     return titles
 
 
@@ -104,7 +127,9 @@ def spread_of(values: FloatArray, centre: FloatArray, model: Model) -> FloatArra
         usual_sizes.append(size or parameter.scale)
     usual = _BETWEEN.expected * np.array(usual_sizes)
     away = np.abs(values - centre)
-    most = _BETWEEN.clipped * np.maximum(MEDIAN_TO_SIGMA * np.median(away, axis=0), usual / _BETWEEN.clipped)
+    most = _BETWEEN.clipped * np.maximum(
+        MEDIAN_TO_SIGMA * np.median(away, axis=0), usual / _BETWEEN.clipped
+    )
     squares = np.square(np.minimum(away, most)).sum(axis=0)
     return np.asarray(np.sqrt((squares + np.square(usual)) / len(values)))
 

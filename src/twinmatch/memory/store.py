@@ -94,12 +94,18 @@ class Memory:
         places = ", ".join("?" * len(_COLUMNS))
         with self._opened(write=True, create=True) as database:
             before: int = database.total_changes
-            database.executemany(f"INSERT OR IGNORE INTO lesson ({names}) VALUES ({places})", rows)  # noqa: S608
+            database.executemany(
+                f"INSERT OR IGNORE INTO lesson ({names}) VALUES ({places})",  # noqa: S608
+                rows,
+            )
             added: int = database.total_changes - before
         return added
 
     def lessons(
-        self, plant: str | None = None, rig: str | None = None, equations: Collection[str] | None = None
+        self,
+        plant: str | None = None,
+        rig: str | None = None,
+        equations: Collection[str] | None = None,
     ) -> list[Lesson]:
         """The lessons on this plant and rig, oldest session first; those given as None are not asked for.
 
@@ -108,27 +114,36 @@ class Memory:
             rig: name of the rig; an empty one is a rig without a name.
             equations: digests of equations, as `Model.equations`; lessons on others are left out.
         """
-        wanted: dict[str, Collection[str]] = {} if equations is None else {"equations": [*equations]}
+        wanted: dict[str, Collection[str]] = (
+            {} if equations is None else {"equations": [*equations]}
+        )
         if plant is not None:
             wanted["plant"] = [plant]
         if rig is not None:
             wanted["rig"] = [rig]
-        conditions = [f"{name} IN ({', '.join('?' * len(values))})" for name, values in wanted.items()]
+        conditions = [
+            f"{name} IN ({', '.join('?' * len(values))})"
+            for name, values in wanted.items()
+        ]
         where = " AND ".join(conditions) or "1"
         lists = " || ',' || ".join(f"'\"{name}\":' || {name}" for name in _LISTS)
-        newest = (
-            f"SELECT rowid FROM lesson WHERE {where} ORDER BY began DESC, in_order(name) DESC LIMIT {MOST}"  # noqa: S608
-        )
+        newest = f"SELECT rowid FROM lesson WHERE {where} ORDER BY began DESC, in_order(name) DESC LIMIT {MOST}"  # noqa: S608
         query = f"SELECT {', '.join(_OTHERS)}, '{{' || {lists} || '}}' FROM lesson WHERE rowid IN ({newest})"  # noqa: S608
         with self._opened() as database:
-            rows = [] if database is None else database.execute(query, [*chain(*wanted.values())])
+            rows = (
+                []
+                if database is None
+                else database.execute(query, [*chain(*wanted.values())])
+            )
             return in_order([self._lesson_of(row) for row in rows])
 
     def unread(self, rig: str | None = None) -> int:
         """Number of lessons on a rig (None: on all) that are older than those that `lessons` reads."""
         with self._opened() as database:
             query = "SELECT count(*) FROM lesson WHERE rig = ifnull(?, rig)"
-            (count,) = (0,) if database is None else database.execute(query, [rig]).fetchone()
+            (count,) = (
+                (0,) if database is None else database.execute(query, [rig]).fetchone()
+            )
         return max(0, count - MOST)
 
     def add_comparison(self, found: LawComparison) -> bool:
@@ -159,7 +174,10 @@ class Memory:
                 return []
             names: set[str] = set()
             for table in ("lesson", "comparison"):
-                rows = database.execute(f"SELECT name FROM {table} {where}", [*sessions, *sessions])  # noqa: S608
+                rows = database.execute(
+                    f"SELECT name FROM {table} {where}",  # noqa: S608
+                    [*sessions, *sessions],
+                )
                 names.update(name for (name,) in rows)
                 database.execute(f"DELETE FROM {table} {where}", [*sessions, *sessions])  # noqa: S608
             return sorted(names)
@@ -170,11 +188,15 @@ class Memory:
         database: sqlite3.Connection | None = None
         try:
             if self.path.exists() and not self.path.is_file():
-                raise MemoryFaultError(f"memory {self.path}: is not a regular file; give a file")
+                raise MemoryFaultError(
+                    f"memory {self.path}: is not a regular file; give a file"
+                )
             if create:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
             if create or self.path.exists():
-                database = sqlite3.connect(self.path, timeout=WAIT, isolation_level=None)
+                database = sqlite3.connect(
+                    self.path, timeout=WAIT, isolation_level=None
+                )
                 database.execute("BEGIN IMMEDIATE" if write else "BEGIN")
                 end = time.thread_time() + PATIENCE
                 database.set_progress_handler(lambda: time.thread_time() > end, 100_000)
@@ -183,7 +205,8 @@ class Memory:
             yield database
             if database is not None:
                 database.execute("COMMIT")
-        except (sqlite3.Error, OSError, UnicodeError) as error:  # the last for text of damaged pages
+        except (sqlite3.Error, OSError, UnicodeError) as error:
+            # the last for text of damaged pages
             raise MemoryFaultError(f"memory {self.path}: {_why(error)}") from error
         finally:
             if database is not None:
@@ -196,8 +219,12 @@ class Memory:
         (version,) = database.execute("PRAGMA user_version").fetchone()
         empty = not database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
         if application != _APPLICATION and not (empty and application == 0):
-            raise MemoryFaultError(f"memory {self.path}: is a database of another program; give another file")
-        if database.execute("SELECT 1 FROM sqlite_master WHERE sql NOT LIKE 'CREATE TABLE %'").fetchone():
+            raise MemoryFaultError(
+                f"memory {self.path}: is a database of another program; give another file"
+            )
+        if database.execute(
+            "SELECT 1 FROM sqlite_master WHERE sql NOT LIKE 'CREATE TABLE %'"
+        ).fetchone():
             raise MemoryFaultError(
                 f"memory {self.path}: has views, triggers or indexes, which no memory has; give another file"
             )
@@ -206,7 +233,9 @@ class Memory:
                 f"memory {self.path}: was written by a newer version of twinmatch (its format is {version}, "
                 f"this one reads {VERSION}); update twinmatch, or give another file"
             )
-        steps = (_TABLE if empty else "") + (_RECORD if empty or (write and version < VERSION) else "")
+        steps = (_TABLE if empty else "") + (
+            _RECORD if empty or (write and version < VERSION) else ""
+        )
         for statement in filter(None, steps.strip().split(";\n")):
             database.execute(statement)
 
@@ -218,12 +247,23 @@ class Memory:
 
     def _lesson_of(self, row: tuple[Any, ...]) -> Lesson:
         place = f"memory {self.path}"
-        lists = decoded_json(str(row[-1]), _Lists, f"{place}: a row cannot be read", MemoryFaultError)
+        lists = decoded_json(
+            str(row[-1]), _Lists, f"{place}: a row cannot be read", MemoryFaultError
+        )
         for name in ("persistence_skill", "arx_skill"):
-            setattr(lists, name, [math.nan if skill is None else skill for skill in getattr(lists, name)])
+            setattr(
+                lists,
+                name,
+                [
+                    math.nan if skill is None else skill
+                    for skill in getattr(lists, name)
+                ],
+            )
         plain = dict(zip(_OTHERS, row[:-1], strict=True))
         plain |= {"led": bool(plain["led"]), "chosen": bool(plain["chosen"])}
-        return decoded(plain | msgspec.structs.asdict(lists), Lesson, place, MemoryFaultError)
+        return decoded(
+            plain | msgspec.structs.asdict(lists), Lesson, place, MemoryFaultError
+        )
 
 
 def _row_of(lesson: Lesson) -> list[Any]:
@@ -249,7 +289,8 @@ _LONGEST: Final = 100
 _REASONS: Final = {
     "SQLITE_NOTADB": "is not a memory of twinmatch; give another file, or move it away",
     **dict.fromkeys(
-        ("SQLITE_BUSY", "SQLITE_LOCKED"), "another program is writing it; try again when it has finished"
+        ("SQLITE_BUSY", "SQLITE_LOCKED"),
+        "another program is writing it; try again when it has finished",
     ),
     **dict.fromkeys(
         ("SQLITE_FULL", "SQLITE_IOERR"),
@@ -280,7 +321,9 @@ def default_file(plant: str, rig: str = "") -> Path:
         MemoryFaultError: the name of the rig cannot be part of a file's name.
     """
     if not re.fullmatch(r"[\w.-]*", rig) or rig.startswith("."):
-        raise MemoryFaultError(f"rig {rig!r}: is not a name for a rig; use letters, digits, '-', '_' and '.'")
+        raise MemoryFaultError(
+            f"rig {rig!r}: is not a name for a rig; use letters, digits, '-', '_' and '.'"
+        )
     return _folder() / f"{plant}{'@' if rig else ''}{rig}{_SUFFIX}"
 
 

@@ -27,7 +27,9 @@ _INDEX = Path("share", "ament_index", "resource_index", "rmw_typesupport")
 _LOADER = "rmw_implementation"
 
 
-def problem(environment: Mapping[str, str] = os.environ, wheel_prefix: str = sys.prefix) -> str:
+def problem(
+    environment: Mapping[str, str] = os.environ, wheel_prefix: str = sys.prefix
+) -> str:
     """An error line if the selected middleware is not installed; empty if no problem is found.
 
     Args:
@@ -57,7 +59,11 @@ def require_ros(program: str, instead: str = "") -> None:
     Raises:
         TwinmatchError: ROS 2, or our messages, cannot be found.
     """
-    missing = [name for name in ("rclpy", "diagnostic_msgs", "twinmatch_msgs") if find_spec(name) is None]
+    missing = [
+        name
+        for name in ("rclpy", "diagnostic_msgs", "twinmatch_msgs")
+        if find_spec(name) is None
+    ]
     if missing:
         raise TwinmatchError(
             f"{program} needs ROS 2: {', '.join(missing)} cannot be found; run make setup in a clone of "
@@ -71,7 +77,7 @@ class BeforeRos(MetaPathFinder):
     def find_spec(
         self,
         name: str,
-        path: Sequence[str] | None = None,  # noqa: ARG002 - the import system gives it
+        path: Sequence[str] | None = None,  # noqa: ARG002
         target: ModuleType | None = None,  # noqa: ARG002
     ) -> None:
         """Check when `rclpy` is imported."""

@@ -37,7 +37,10 @@ PROGRAMS: Final = {
 def nodes_of(program: str) -> list[type[Any]]:
     """The nodes of a program."""
     places = (place.split(":") for place in PROGRAMS[program].split())
-    return [getattr(import_module(f"twinmatch.nodes.{module}"), name) for module, name in places]
+    return [
+        getattr(import_module(f"twinmatch.nodes.{module}"), name)
+        for module, name in places
+    ]
 
 
 def main() -> None:
@@ -46,11 +49,14 @@ def main() -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     arguments = sys.argv if Path(sys.argv[0]).stem in PROGRAMS else sys.argv[1:]
     if not arguments or (name := Path(arguments[0]).stem) not in PROGRAMS:
-        print(f"usage: python -m twinmatch.nodes {{{','.join(PROGRAMS)}}} [--help]", file=sys.stderr)
+        print(
+            f"usage: python -m twinmatch.nodes {{{','.join(PROGRAMS)}}} [--help]",
+            file=sys.stderr,
+        )
         sys.exit(EXIT_USER_ERROR)
     try:
         require_ros(name)
-        from twinmatch.nodes.runner import run  # noqa: PLC0415 — needs ROS
+        from twinmatch.nodes.runner import run  # noqa: PLC0415
 
         nodes = nodes_of(name)
     except TwinmatchError as error:

@@ -52,7 +52,8 @@ class WallToRos:
             if 0.0 <= pace <= CLOCK_STRIDE.fastest:
                 self._pace += SMOOTHING * (pace - self._pace)
         self._last = (wall, ros)
-        return max(0, ros - round((wall - image_time) * self._pace))  # a clock that is not set yet reads 0
+        # a clock that is not set yet reads 0
+        return max(0, ros - round((wall - image_time) * self._pace))
 
 
 CENTIKELVIN = 0.01
@@ -89,9 +90,14 @@ def celsius_image(exposure: Exposure, header: Header) -> Image:
 def _image(encoding: str, pixels: NDArray[Any], header: Header) -> Image:
     rows, columns = pixels.shape
     message = Image(
-        height=rows, width=columns, encoding=encoding, step=columns * pixels.itemsize, header=header
+        height=rows,
+        width=columns,
+        encoding=encoding,
+        step=columns * pixels.itemsize,
+        header=header,
     )
-    message.data = array("B", pixels.tobytes())  # the field's own type: not checked item by item
+    # the field's own type: not checked item by item
+    message.data = array("B", pixels.tobytes())
     return message
 
 
@@ -104,7 +110,9 @@ SAME_CLOCK = 60_000_000_000
 """Stamps of a simulated camera within this of simulated time are taken to be on that clock, ns."""
 
 
-def _region_parameters(name: str, text: str, usual: tuple[int, int, int, int]) -> tuple[Setting, ...]:
+def _region_parameters(
+    name: str, text: str, usual: tuple[int, int, int, int]
+) -> tuple[Setting, ...]:
     x, y, width, height = usual
     first_row = "First row, 0 at the top." if name == "roi" else "First row."
     return (
@@ -127,10 +135,23 @@ class CameraBridge(TwinmatchNode):
         Setting("host", "127.0.0.1", "Computer on which the camera server runs."),
         Setting("port", DEFAULT_PORT, "Its TCP port.", "", 1, 65535),
         *parameters_of(ClientSettings()),
-        Setting("stale_after", 3.0, "Age of the newest image that is an error.", "s", 0.1, 60.0),
-        *_region_parameters("roi", "Region whose mean is the temperature: first column.", (34, 24, 12, 12)),
+        Setting(
+            "stale_after",
+            3.0,
+            "Age of the newest image that is an error.",
+            "s",
+            0.1,
+            60.0,
+        ),
         *_region_parameters(
-            "plate", "Region of the whole plate, for its uniformity: first column.", (22, 14, 36, 32)
+            "roi",
+            "Region whose mean is the temperature: first column.",
+            (34, 24, 12, 12),
+        ),
+        *_region_parameters(
+            "plate",
+            "Region of the whole plate, for its uniformity: first column.",
+            (22, 14, 36, 32),
         ),
         Setting("temperature_rate", 0.0, _TEMPERATURE_RATE, "Hz", 0.0, 1000.0),
         Setting("image_rate", 10.0, _IMAGE_RATE, "Hz", 0.0, 1000.0),
@@ -143,22 +164,36 @@ class CameraBridge(TwinmatchNode):
         values = self.values
         self._roi = _region_from(values, "roi")
         self._plate = _region_from(values, "plate")
-        self._temperature_gap = 1e9 / values["temperature_rate"] if values["temperature_rate"] else 0.0
+        self._temperature_gap = (
+            1e9 / values["temperature_rate"] if values["temperature_rate"] else 0.0
+        )
         self._image_gap = 1e9 / values["image_rate"] if values["image_rate"] else 0.0
-        self._camera = ThermalClient(values["host"], values["port"], given_to(ClientSettings(), values))
+        self._camera = ThermalClient(
+            values["host"], values["port"], given_to(ClientSettings(), values)
+        )
         self._wall_to_ros = WallToRos()
         self._thread = Background("camera", self._run)
         self.beside += [self._thread, self._camera]
         self._measured_at: int | None = None  # stamp of the last temperature, ns
-        self._pictured_at: int | None = None  # when the last images were published, monotonic ns
-        self._counted = (0, time.monotonic())  # frames at the last report, and when that was
+        # when the last images were published, monotonic ns
+        self._pictured_at: int | None = None
+        # frames at the last report, and when that was
+        self._counted = (0, time.monotonic())
 
     def open(self) -> None:
         """Connect, with retries."""
-        self._raw = self.create_publisher(Image, "thermal/image_raw", qos_profile_sensor_data)
-        self._degrees = self.create_publisher(Image, "thermal/image", qos_profile_sensor_data)
-        self._temperature = self.create_publisher(Temperature, "plant/temperature", qos_profile_sensor_data)
-        self._uniformity = self.create_publisher(Float64, "plant/uniformity", qos_profile_sensor_data)
+        self._raw = self.create_publisher(
+            Image, "thermal/image_raw", qos_profile_sensor_data
+        )
+        self._degrees = self.create_publisher(
+            Image, "thermal/image", qos_profile_sensor_data
+        )
+        self._temperature = self.create_publisher(
+            Temperature, "plant/temperature", qos_profile_sensor_data
+        )
+        self._uniformity = self.create_publisher(
+            Float64, "plant/uniformity", qos_profile_sensor_data
+        )
         self.health.say("streaming")
         self.report_on()
         self._camera.start()
@@ -181,12 +216,19 @@ class CameraBridge(TwinmatchNode):
             "reconnects": max(0, status.connections - 1),
             "server restarts": status.restarts,
             **status.errors,
-            "bad frames": sum(n for name, n in status.errors.items() if name.startswith("Frame")),
+            "bad frames": sum(
+                n for name, n in status.errors.items() if name.startswith("Frame")
+            ),
         }
         for name, value in shown_values.items():
             health.set(name, value)
         down = status.state is not LinkState.STREAMING or not frames
-        health.flag_if(down, "link", Level.ERROR, str(status.last_error or "thermal camera: connecting"))
+        health.flag_if(
+            down,
+            "link",
+            Level.ERROR,
+            str(status.last_error or "thermal camera: connecting"),
+        )
         self._report_age()
         return super().report()
 
@@ -199,7 +241,10 @@ class CameraBridge(TwinmatchNode):
             state = "unknown" if frame.flat_field is None else frame.flat_field.name
             health.set("flat-field correction", state)
             if frame.sensor_temperature is not None:
-                health.set("sensor temperature", f"{frame.sensor_temperature / 100 - KELVIN:.1f} °C")
+                health.set(
+                    "sensor temperature",
+                    f"{frame.sensor_temperature / 100 - KELVIN:.1f} °C",
+                )
         if news is None:
             return
         age = (time.monotonic_ns() - news.received) / 1e9
@@ -239,7 +284,9 @@ class CameraBridge(TwinmatchNode):
         wall = time.monotonic_ns()
         if clock.ros_time_is_active and abs(ros - received.frame.stamp) < SAME_CLOCK:
             return received.frame.stamp  # a simulated camera stamps in simulated time
-        return self._wall_to_ros.at(received.taken, wall=wall, ros=ros, simulated=clock.ros_time_is_active)
+        return self._wall_to_ros.at(
+            received.taken, wall=wall, ros=ros, simulated=clock.ros_time_is_active
+        )
 
     def _publish_temperature(self, frame: ThermalFrame, stamp: int) -> None:
         last = self._measured_at
@@ -248,19 +295,27 @@ class CameraBridge(TwinmatchNode):
         self._measured_at = stamp
         roi = region(frame, self._roi)
         plate = region(frame, self._plate)
-        header = Header(frame_id=self.values["plate_frame_id"], stamp=time_message(stamp))
-        self._temperature.publish(Temperature(header=header, temperature=roi.mean, variance=roi.variance))
+        header = Header(
+            frame_id=self.values["plate_frame_id"], stamp=time_message(stamp)
+        )
+        self._temperature.publish(
+            Temperature(header=header, temperature=roi.mean, variance=roi.variance)
+        )
         self._uniformity.publish(Float64(data=plate.spread))
         self.health.set("temperature", f"{roi.mean:.2f} °C")
         self.health.set("spread over the plate", f"{plate.spread:.2f} °C")
 
     def _publish_images(self, frame: ThermalFrame, stamp: int) -> None:
         wall_now = time.monotonic_ns()
-        if self._pictured_at is not None and wall_now - self._pictured_at < self._image_gap:
+        if (
+            self._pictured_at is not None
+            and wall_now - self._pictured_at < self._image_gap
+        ):
             return
         self._pictured_at = wall_now
         header = Header(frame_id=self.values["frame_id"], stamp=time_message(stamp))
-        degrees = celsius_image(frame, header)  # first, as it refuses counts that are not temperatures
+        # first, as it refuses counts that are not temperatures
+        degrees = celsius_image(frame, header)
         self._raw.publish(raw_image(frame, header))
         self._degrees.publish(degrees)
 
@@ -268,4 +323,9 @@ class CameraBridge(TwinmatchNode):
 def _region_from(values: dict[str, Any], name: str) -> Region:
     column = values[f"{name}.x"]
     row = values[f"{name}.y"]
-    return Region(row=row, column=column, rows=values[f"{name}.height"], columns=values[f"{name}.width"])
+    return Region(
+        row=row,
+        column=column,
+        rows=values[f"{name}.height"],
+        columns=values[f"{name}.width"],
+    )

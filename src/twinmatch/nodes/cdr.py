@@ -34,13 +34,19 @@ def _end(value: Any, kind: Any, position: int) -> int:
     if isinstance(kind, AbstractString):
         return _end_of_numbers(1, _COUNT, position) + len(value.encode()) + 1
     if isinstance(kind, AbstractSequence | Array):
-        position = _end_of_numbers(1, _COUNT, position) if isinstance(kind, AbstractSequence) else position
+        position = (
+            _end_of_numbers(1, _COUNT, position)
+            if isinstance(kind, AbstractSequence)
+            else position
+        )
         if isinstance(kind.value_type, BasicType):
             return _end_of_numbers(len(value), kind.value_type, position)
         for element in value:
             position = _end(element, kind.value_type, position)
         return position
-    for name, part in zip(value.get_fields_and_field_types(), value.SLOT_TYPES, strict=True):
+    for name, part in zip(
+        value.get_fields_and_field_types(), value.SLOT_TYPES, strict=True
+    ):
         position = _end(getattr(value, name), part, position)
     return position
 

@@ -16,7 +16,16 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64, Float64MultiArray
 
 from twinmatch.control import ControlError, Loop, Profile
-from twinmatch.dynamics import Controller, Law, Output, PidGains, PidLoops, Plant, PlantError, pids_of
+from twinmatch.dynamics import (
+    Controller,
+    Law,
+    Output,
+    PidGains,
+    PidLoops,
+    Plant,
+    PlantError,
+    pids_of,
+)
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import message_of, sample_message, time_message
@@ -24,23 +33,48 @@ from twinmatch.nodes.node import Missed, Readers, TwinmatchNode
 from twinmatch.nodes.signature import WITHOUT, RunSignature
 from twinmatch.nodes.topics import LATCHED, NEWEST, RELIABLE
 from twinmatch.parameters.declared import READERS, ParameterError, Setting, Values
-from twinmatch.parameters.twin import joined_units, loop_parameters, one_or_each, running_law
+from twinmatch.parameters.twin import (
+    joined_units,
+    loop_parameters,
+    one_or_each,
+    running_law,
+)
 from twinmatch.plants import Peltier, find_plant, written_name
-from twinmatch.safety import LawReport, LawTrial, TrialBands, TrialPhase, is_limit, nominal_eigenvalue
+from twinmatch.safety import (
+    LawReport,
+    LawTrial,
+    TrialBands,
+    TrialPhase,
+    is_limit,
+    nominal_eigenvalue,
+)
 from twinmatch.safety.trial import GAINS
 from twinmatch.signals import Signals, point_values
 from twinmatch_msgs.msg import LawReport as LawMessage
-from twinmatch_msgs.msg import LoopSample, PlantApplied, PlantCommand, PlantReading, PwmApplied, PwmCommand
+from twinmatch_msgs.msg import (
+    LoopSample,
+    PlantApplied,
+    PlantCommand,
+    PlantReading,
+    PwmApplied,
+    PwmCommand,
+)
 from twinmatch_msgs.srv import ApplyLaw
 
-_SOURCE = "Where the set-point comes from: the profile below, or the topic plant/reference."
+_SOURCE = (
+    "Where the set-point comes from: the profile below, or the topic plant/reference."
+)
 _LOWEST = "Lowest accepted set-point, also from the topic; it can only be raised while the node runs."
 _HIGHEST = "Highest accepted set-point; it can only be lowered while the node runs."
 _RAMP = "Rate at which the set-point changes; 0: in steps."
-_REPEATED = "Interval at which the command is repeated; the bridge treats silence as a fault."
+_REPEATED = (
+    "Interval at which the command is repeated; the bridge treats silence as a fault."
+)
 _COURSE = "Set-points of a course, in place of the profile: one of each output, then the next of each."
 _HOLDS = "How long each of them is held; the last one stays."
-_FOLLOWED = "Follow the course; the profile waits meanwhile, and continues where it was."
+_FOLLOWED = (
+    "Follow the course; the profile waits meanwhile, and continues where it was."
+)
 _LEVELS = (1 / 7, 3 / 7, 5 / 7, 3 / 7)
 """Levels of the default profile, as fractions of the range of sensible set-points."""
 _LEVELS_OF_ONE = "Set-points, one after the other."
@@ -68,31 +102,71 @@ def controller_table(plant: type[Plant] = Peltier) -> tuple[Setting, ...]:
     high = max(y.span[1] for y in outputs)
     unit = joined_units(y.unit for y in outputs)
     sources = ("profile", "topic")
-    levels = [_level(y, k + n) for k in range(len(_LEVELS)) for n, y in enumerate(outputs)]
+    levels = [
+        _level(y, k + n) for k in range(len(_LEVELS)) for n, y in enumerate(outputs)
+    ]
     lowest = one_or_each([max(y.span[0], y.safe[0]) for y in outputs])
     highest = one_or_each([min(y.span[1], y.safe[1]) for y in outputs])
     ramp = one_or_each([0.0 for _ in outputs])
     meaning = _LEVELS_OF_SEVERAL if len(outputs) > 1 else _LEVELS_OF_ONE
     changing = partial(Setting, changeable=True)
     return (
-        Setting("plant", written_name(plant), "The plant: its name, or the file that defines it."),
+        Setting(
+            "plant",
+            written_name(plant),
+            "The plant: its name, or the file that defines it.",
+        ),
         *loop_parameters(plant),
         Setting("reference_source", sources[0], _SOURCE, choices=sources),
         changing("profile.levels", levels, meaning, unit, low, high),
-        changing("profile.holds", [300.0] * 4, "How long each of them is held.", "s", 0.1, 1e6),
-        changing("profile.repeat", True, "Repeat the profile; otherwise the last level is held."),
+        changing(
+            "profile.holds",
+            [300.0] * 4,
+            "How long each of them is held.",
+            "s",
+            0.1,
+            1e6,
+        ),
+        changing(
+            "profile.repeat",
+            True,
+            "Repeat the profile; otherwise the last level is held.",
+        ),
         changing("profile.ramp", ramp, _RAMP, f"{unit}/s", 0.0, high - low),
         changing("profile.lowest", lowest, _LOWEST, unit, low, high),
         changing("profile.highest", highest, _HIGHEST, unit, low, high),
         changing("course.levels", levels[: len(outputs)], _COURSE, unit, low, high),
         changing("course.holds", [1.0], _HOLDS, "s", 1e-3, 1e6),
         changing("course.followed", False, _FOLLOWED),
-        Setting("exit_at_end", False, "Exit at the end of a profile that is not repeated."),
-        Setting("max_age", 2.0, "A reading older than this switches the output off.", "s", 0.05, 10.0),
+        Setting(
+            "exit_at_end", False, "Exit at the end of a profile that is not repeated."
+        ),
+        Setting(
+            "max_age",
+            2.0,
+            "A reading older than this switches the output off.",
+            "s",
+            0.05,
+            10.0,
+        ),
         Setting("command_period", 0.25, _REPEATED, "s", 0.01, 1.0),
-        Setting("wait_for", 0, "Readers of plant/sample to wait for before the first tick.", "", 0, 100),
+        Setting(
+            "wait_for",
+            0,
+            "Readers of plant/sample to wait for before the first tick.",
+            "",
+            0,
+            100,
+        ),
         READERS,
-        Setting("wait_timeout", 10.0, "Longest wait for them, by the wall clock.", "s", 0.1, 3600.0),
+        Setting(
+            "wait_timeout",
+            10.0,
+            "Longest wait for them, by the wall clock.",
+            "s",
+            0.1,
+            3600.0,
+        ),
     )
 
 
@@ -104,14 +178,21 @@ def profiles_from(values: Mapping[str, Any]) -> tuple[Profile, ...] | None:
             never take effect.
     """
     outputs = find_plant(values["plant"]).outputs
-    ranges = list(zip(*(_by_output(values, name) for name in ("lowest", "highest", "ramp")), strict=True))
+    ranges = list(
+        zip(
+            *(_by_output(values, name) for name in ("lowest", "highest", "ramp")),
+            strict=True,
+        )
+    )
     for (low, high, _), output in zip(ranges, outputs.values(), strict=True):
         if not low < high:
             msg = f"controller: profile.lowest {low:g} must be below profile.highest {high:g} {output.unit}"
             raise ControlError(msg)
     if values["reference_source"] == "topic":
         if values["exit_at_end"]:
-            raise ControlError("controller: exit_at_end needs a profile; a topic has no end")
+            raise ControlError(
+                "controller: exit_at_end needs a profile; a topic has no end"
+            )
         return None
     if values["exit_at_end"] and values["profile.repeat"]:
         raise ControlError(
@@ -130,8 +211,15 @@ def course_from(values: Mapping[str, Any]) -> tuple[Profile, ...] | None:
     if not values["course.followed"]:
         return None
     if values["reference_source"] == "topic":
-        raise ControlError("controller: course.followed needs a profile; give these levels on the topic")
-    return _staircases("course", values, [0.0] * len(find_plant(values["plant"]).outputs), repeats=False)
+        raise ControlError(
+            "controller: course.followed needs a profile; give these levels on the topic"
+        )
+    return _staircases(
+        "course",
+        values,
+        [0.0] * len(find_plant(values["plant"]).outputs),
+        repeats=False,
+    )
 
 
 def _staircases(
@@ -186,7 +274,9 @@ def _by_output(values: Mapping[str, Any], name: str) -> list[float]:
     return by_output
 
 
-def changed_profiles(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[Profile, ...] | None:
+def changed_profiles(
+    before: Mapping[str, Any], values: Mapping[str, Any]
+) -> tuple[Profile, ...] | None:
     """The profiles from values some of which were changed while the controller runs.
 
     The range of set-points was chosen for this rig when the controller started, so it can only shrink.
@@ -195,7 +285,9 @@ def changed_profiles(before: Mapping[str, Any], values: Mapping[str, Any]) -> tu
         ControlError: as for `profiles_from`, or a range would grow.
     """
     for name, outside in (("lowest", float.__lt__), ("highest", float.__gt__)):
-        for was, wanted in zip(_by_output(before, name), _by_output(values, name), strict=True):
+        for was, wanted in zip(
+            _by_output(before, name), _by_output(values, name), strict=True
+        ):
             if outside(wanted, was):
                 raise ControlError(
                     f"controller: profile.{name} can only narrow the range while it runs; {wanted:g} "
@@ -252,10 +344,14 @@ class ControllerNode(TwinmatchNode):
     NAME = "controller"
 
     @classmethod
-    def table_for(cls, overrides: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
+    def table_for(
+        cls, overrides: Mapping[str, Any]
+    ) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The parameters of the plant that is named."""
         try:
-            return controller_table(find_plant(str(overrides.get("plant", Peltier.name)))), overrides
+            return controller_table(
+                find_plant(str(overrides.get("plant", Peltier.name)))
+            ), overrides
         except PlantError as error:
             raise ParameterError(f"{cls.NAME}: {error}") from error
 
@@ -293,8 +389,12 @@ class ControllerNode(TwinmatchNode):
         if self._signature is not None:
             self._eigenvalue(self._pids)
         topics = self._topics
-        self.create_subscription(topics.reading_type, topics.reading, self._on_reading, NEWEST)
-        self.create_subscription(topics.applied_type, topics.applied, self._on_applied, RELIABLE)
+        self.create_subscription(
+            topics.reading_type, topics.reading, self._on_reading, NEWEST
+        )
+        self.create_subscription(
+            topics.applied_type, topics.applied, self._on_applied, RELIABLE
+        )
         self._commands = self.create_publisher(topics.command_type, topics.command, 10)
         self._samples = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
         timeout = self.values["wait_timeout"]
@@ -307,7 +407,11 @@ class ControllerNode(TwinmatchNode):
             quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
             for qos in (LATCHED, RELIABLE):
                 self.create_subscription(
-                    kind, "plant/reference", self._on_reference, qos, event_callbacks=quiet
+                    kind,
+                    "plant/reference",
+                    self._on_reference,
+                    qos,
+                    event_callbacks=quiet,
                 )
         else:
             self._references = self.create_publisher(kind, "plant/reference", LATCHED)
@@ -316,7 +420,8 @@ class ControllerNode(TwinmatchNode):
         call_periodically = self.create_timer if self.step is None else self.step.every
         call_periodically(self._loop.period, self._on_tick)
         call_periodically(self.values["command_period"], self._on_repeat)
-        if self.step is not None:  # while the plant waits for a command, none may be lost
+        if self.step is not None:
+            # while the plant waits for a command, none may be lost
             self.wall_timer(self.RESEND, self._on_repeat)
         self.health.say("waiting")
         self.report_on()
@@ -344,20 +449,32 @@ class ControllerNode(TwinmatchNode):
         if self._profiles is None and self._set_points is not None:
             ranges = _by_output(values, "lowest"), _by_output(values, "highest")
             with_ranges = zip(self._set_points, *ranges, strict=True)
-            self._set_points = tuple(min(max(set_point, low), high) for set_point, low, high in with_ranges)
+            self._set_points = tuple(
+                min(max(set_point, low), high) for set_point, low, high in with_ranges
+            )
 
     def _differ(self, values: Values, kind: str) -> bool:
         """Whether the levels or times of a profile or a course are others than those in use."""
-        return any(values[name] != self.values[name] for name in (f"{kind}.levels", f"{kind}.holds"))
+        return any(
+            values[name] != self.values[name]
+            for name in (f"{kind}.levels", f"{kind}.holds")
+        )
 
     def report(self) -> Report:
         """Ticks, lateness, and the reason if there are no samples."""
         loop = self._loop
         self.health.set("output", ", ".join(map(str, loop.inputs)))
         set_points = self._set_points
-        shown = ["none"] if set_points is None else [f"{set_point:g}" for set_point in set_points]
+        shown = (
+            ["none"]
+            if set_points is None
+            else [f"{set_point:g}" for set_point in set_points]
+        )
         self.health.set("set-point", ", ".join(shown))
-        self.health.set("set-point from", "course" if self._course else self.values["reference_source"])
+        self.health.set(
+            "set-point from",
+            "course" if self._course else self.values["reference_source"],
+        )
         self.health.set("tick late by", f"{1000 * loop.jitter:.1f} ms")
         self.health.set("missed ticks", loop.missed)
         self.health.set("ticks without sample", loop.idle)
@@ -379,7 +496,12 @@ class ControllerNode(TwinmatchNode):
         disturbances = tuple(getattr(message, "disturbances", ()))
         # A reading stamped in the future would never become stale; one without a stamp counts as new.
         samplings = tuple(getattr(message, "taken", ()))
-        self._loop.measure(outputs, min(stamp, plant_now) if stamp else plant_now, disturbances, samplings)
+        self._loop.measure(
+            outputs,
+            min(stamp, plant_now) if stamp else plant_now,
+            disturbances,
+            samplings,
+        )
 
     def _on_applied(self, message: Any) -> None:
         """Tell the loop what holds or limits the drive.
@@ -398,21 +520,31 @@ class ControllerNode(TwinmatchNode):
                 value if command - value > self.ROUNDED else math.inf
                 for command, value in zip(loop.inputs, applied, strict=True)
             ]
-        self.health.flag_if(loop.held, "held", Level.WARN, f"the drive is held at rest: {message.fault}")
-        self.health.flag_if(limited, "limited", Level.WARN, f"the drive is {message.fault}")
+        self.health.flag_if(
+            loop.held, "held", Level.WARN, f"the drive is held at rest: {message.fault}"
+        )
+        self.health.flag_if(
+            limited, "limited", Level.WARN, f"the drive is {message.fault}"
+        )
 
     def _on_reference(self, message: Any) -> None:
         set_points = point_values(message.data)
         outputs = self._plant.outputs
         if self._loop.trying:
-            self.health.flag("set-point", Level.WARN, "set-point refused: a law is on trial, which holds it")
+            self.health.flag(
+                "set-point",
+                Level.WARN,
+                "set-point refused: a law is on trial, which holds it",
+            )
             return
         if len(set_points) != len(outputs):
             text = f"{len(set_points)} set-points refused; give one of each output: {', '.join(outputs)}"
             self.health.flag("set-point", Level.ERROR, text)
             return
         ranges = _by_output(self.values, "lowest"), _by_output(self.values, "highest")
-        for set_point, low, high, output in zip(set_points, *ranges, outputs.values(), strict=True):
+        for set_point, low, high, output in zip(
+            set_points, *ranges, outputs.values(), strict=True
+        ):
             if not low <= set_point <= high:
                 safe = f"the safe range is {low:g} to {high:g} {output.unit}"
                 text = f"set-point {set_point:g} {output.unit} refused; {safe}"
@@ -421,20 +553,26 @@ class ControllerNode(TwinmatchNode):
         self.health.withdraw("set-point")
         self._set_points = set_points
 
-    def _on_law(self, request: ApplyLaw.Request, _: ApplyLaw.Response) -> ApplyLaw.Response:
+    def _on_law(
+        self, request: ApplyLaw.Request, _: ApplyLaw.Response
+    ) -> ApplyLaw.Response:
         """Put a law on trial, or give the law before back, by the operator's word."""
         loop = self._loop
         try:
             if request.back:
                 if loop.trial is None or loop.trial.phase is TrialPhase.BACK:
-                    return ApplyLaw.Response(success=False, message="the law of the configuration drives")
+                    return ApplyLaw.Response(
+                        success=False, message="the law of the configuration drives"
+                    )
                 loop.take_back("given back by the operator")
             else:
                 self._try(request)
         except (TwinmatchError, ValueError) as error:
             return ApplyLaw.Response(success=False, message=str(error))
         self._report_law()
-        return ApplyLaw.Response(success=True, message="done; plant/law has what comes of it")
+        return ApplyLaw.Response(
+            success=True, message="done; plant/law has what comes of it"
+        )
 
     def _try(self, request: ApplyLaw.Request) -> None:
         """Put a law on trial.
@@ -448,7 +586,9 @@ class ControllerNode(TwinmatchNode):
         size = len(self._pids)
         self._check_signature(request)
         if request.decision != "safe" and not request.although:
-            raise ControlError(f"loop: the law is {request.decision or 'not tried'}, not safe")
+            raise ControlError(
+                f"loop: the law is {request.decision or 'not tried'}, not safe"
+            )
         if not (loop.running and 0 <= self._index - request.sample <= self.EXPIRES):
             raise ControlError(
                 f"loop: the answer is from sample {request.sample}, and now is {self._index}; ask again"
@@ -494,7 +634,9 @@ class ControllerNode(TwinmatchNode):
                 "loop: the request lacks the signature of this run's twin; ask the twin (twinmatch apply)"
             )
         if request.signature in self._taken_answers:
-            raise ControlError("loop: that answer has put its law on trial already; ask again")
+            raise ControlError(
+                "loop: that answer has put its law on trial already; ask again"
+            )
 
     def _check_gains(self, gains: Sequence[PidGains]) -> None:
         """Refuse gains that the configuration would refuse: of the wrong sign, or absurdly large.
@@ -511,7 +653,9 @@ class ControllerNode(TwinmatchNode):
     def _eigenvalue(self, gains: Sequence[PidGains]) -> float:
         """Size of the largest eigenvalue of the loop of these PIDs with the plant of the file, where the
         set-point is; NaN if it has none there."""
-        return nominal_eigenvalue(self._plant.model().typical(), _law_of(gains), self._set_points or ())
+        return nominal_eigenvalue(
+            self._plant.model().typical(), _law_of(gains), self._set_points or ()
+        )
 
     def _report_law(self) -> None:
         """Publish how far a trial is, when that changes."""
@@ -526,7 +670,9 @@ class ControllerNode(TwinmatchNode):
                 reason=trial.reason,
             )
             self._laws.publish(message_of(self._on_trial, self._now()))
-            self.get_logger().warning(f"law on trial: {trial.phase.value} {trial.reason}".rstrip())
+            self.get_logger().warning(
+                f"law on trial: {trial.phase.value} {trial.reason}".rstrip()
+            )
             self.health.set("law on trial", trial.phase.value)
 
     def _on_tick(self) -> None:
@@ -563,14 +709,24 @@ class ControllerNode(TwinmatchNode):
         if self._profiles is None:
             return self._set_points
         seconds -= self._begun
-        if self._course is None and self.values["exit_at_end"] and self._profiles[0].ended(seconds):
+        if (
+            self._course is None
+            and self.values["exit_at_end"]
+            and self._profiles[0].ended(seconds)
+        ):
             self.get_logger().info("the profile has ended")
             self.exit_code = 0
             return None
-        references = tuple(profile.reference(seconds) for profile in self._course or self._profiles)
+        references = tuple(
+            profile.reference(seconds) for profile in self._course or self._profiles
+        )
         if references != self._set_points:
             self._set_points = references
-            data = Float64(data=references[0]) if self._single else Float64MultiArray(data=references)
+            data = (
+                Float64(data=references[0])
+                if self._single
+                else Float64MultiArray(data=references)
+            )
             self._references.publish(data)
         return references
 
@@ -596,4 +752,8 @@ class ControllerNode(TwinmatchNode):
         return round(self._loop.time / self._loop.period)
 
     def _now(self) -> int:
-        return int(self.get_clock().now().nanoseconds) if self.step is None else self.step.now
+        return (
+            int(self.get_clock().now().nanoseconds)
+            if self.step is None
+            else self.step.now
+        )

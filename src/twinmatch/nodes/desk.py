@@ -33,7 +33,9 @@ class DeskError(TwinmatchError):
 class Desk:
     """Does what a service is asked for; whatever that is, the node continues."""
 
-    def __init__(self, node: TwinNode, newest: Newest, stamp_of: StampOf, turn: Turn) -> None:
+    def __init__(
+        self, node: TwinNode, newest: Newest, stamp_of: StampOf, turn: Turn
+    ) -> None:
         """Create the thread.
 
         Args:

@@ -92,12 +92,16 @@ class ForecastPublisher:
             self._ahead = shown_samples(outlook.period, self._horizons)
         sample = outlook.sample
         try:
-            forecast = outlook.forecast(np.tile(outlook.standing, (max(self._ahead), 1)))
+            forecast = outlook.forecast(
+                np.tile(outlook.standing, (max(self._ahead), 1))
+            )
         except PlantError:
             if not outlook.parameters.model.is_external:
                 raise
             return  # at the next sample another candidate leads, which can be run
-        self._node.publish(self._forecasts, message_of(forecast.at(self._ahead), sample.stamp))
+        self._node.publish(
+            self._forecasts, message_of(forecast.at(self._ahead), sample.stamp)
+        )
         self._health.set("leader", outlook.candidate)
         self._health.set("forecast from sample", sample.index)
 
@@ -105,7 +109,9 @@ class ForecastPublisher:
         """Answer questions from this snapshot from now on."""
         self.newest = snapshot
 
-    def _on_question(self, request: WhatIf.Request, _: WhatIf.Response) -> WhatIf.Response:
+    def _on_question(
+        self, request: WhatIf.Request, _: WhatIf.Response
+    ) -> WhatIf.Response:
         snapshot = self.newest
         try:
             outlook = snapshot.outlook(request.candidate or None)
@@ -131,9 +137,13 @@ def plant_report(verdict: Verdict | None, reason: str) -> Report:
     if fault is None and trust.missed_since is None:
         return Report(Level.OK, "the plant responds normally", {})
     if fault is None:
-        return Report(Level.WARN, trust.reason, {"since sample": str(trust.missed_since)})
+        return Report(
+            Level.WARN, trust.reason, {"since sample": str(trust.missed_since)}
+        )
     values = {"fault": fault.name, "channel": fault.signal, "since sample": fault.since}
-    filled = {key: str(value) for key, value in values.items() if value not in ("", None)}
+    filled = {
+        key: str(value) for key, value in values.items() if value not in ("", None)
+    }
     level = Level.ERROR if fault.level is TrustLevel.FAULT else Level.WARN
     return Report(level, fault._replace(reason=reason).with_reason, filled)
 
@@ -156,12 +166,17 @@ class DiscriminatorNode(SampleNode):
 
     def open(self) -> None:
         """Start to judge samples and matches."""
-        self._discriminator = Discriminator(self.settings, candidates_in(self.values), snapshots=True)
-        self._forecasts = ForecastPublisher(self, self._discriminator.forecaster.horizons)
+        self._discriminator = Discriminator(
+            self.settings, candidates_in(self.values), snapshots=True
+        )
+        self._forecasts = ForecastPublisher(
+            self, self._discriminator.forecaster.horizons
+        )
         self._judged: Verdict | None = None
         self._fault_reason = ""
         self._nominal: tuple[object, ...] = ()  # name, window and parameters
-        self._answers: deque[MatchReport] = deque()  # matches made before this node started, oldest first
+        # matches made before this node started, oldest first
+        self._answers: deque[MatchReport] = deque()
         self._verdicts_made = 0
         self._reported_defects = 0
         self._published_before = 0  # verdicts published before this node started
@@ -171,8 +186,12 @@ class DiscriminatorNode(SampleNode):
         self._tries = 0
         self._scores = self.create_publisher(ModelScore, "twin/model_score", RELIABLE)
         self._nominals = self.create_publisher(Candidate, "twin/nominal", LATCHED)
-        self._estimates = self.create_publisher(EstimatedReading, "plant/estimate", RELIABLE)
-        self._requests = self.create_publisher(MatchRequest, "twin/match_request", RELIABLE)
+        self._estimates = self.create_publisher(
+            EstimatedReading, "plant/estimate", RELIABLE
+        )
+        self._requests = self.create_publisher(
+            MatchRequest, "twin/match_request", RELIABLE
+        )
         super().open()
         stamps = self._discriminator.stamps
 
@@ -193,19 +212,26 @@ class DiscriminatorNode(SampleNode):
 
     def report_on(self, **tasks: Callable[[], Report]) -> None:
         """Report on the plant, too."""
-        super().report_on(**tasks, plant=lambda: plant_report(self._judged, self._fault_reason))
+        super().report_on(
+            **tasks, plant=lambda: plant_report(self._judged, self._fault_reason)
+        )
 
     def _behind(self) -> bool:
         """Whether a match has been awaited for so long that a plant in step should wait too."""
         request = self._discriminator.request
-        return request is not None and (self._watch.last or 0) - request.sample > self.BEHIND
+        return (
+            request is not None
+            and (self._watch.last or 0) - request.sample > self.BEHIND
+        )
 
     def work(self, received: Sample | MatchReport | LawReport) -> None:
         """Take one sample or match, publish the verdicts now due, and request the match they need."""
         if isinstance(received, LawReport):
             self._laws.observe(received)
             if received.first:
-                last = received.sample if received.phase is TrialPhase.BACK else math.inf
+                last = (
+                    received.sample if received.phase is TrialPhase.BACK else math.inf
+                )
                 self._discriminator.tell_of_trial(received.first, last)
             return
         if isinstance(received, MatchReport):
@@ -216,7 +242,10 @@ class DiscriminatorNode(SampleNode):
             self._newest_index = received.index
             step = self._discriminator.push_sample(received)
         self._publish_step(step)
-        while step.request is not None and (earlier_match := self._answer(step.request)) is not None:
+        while (
+            step.request is not None
+            and (earlier_match := self._answer(step.request)) is not None
+        ):
             step = self._discriminator.push_match(earlier_match)
             self._publish_step(step)
         if step.request is not None:
@@ -249,7 +278,10 @@ class DiscriminatorNode(SampleNode):
     def _publish_step(self, step: Step) -> None:
         """Publish what a sample or a match has brought: estimates, forecasts and verdicts."""
         for estimate in step.estimates:
-            self.publish(self._estimates, message_of(estimate, self._discriminator.stamps[estimate.sample]))
+            self.publish(
+                self._estimates,
+                message_of(estimate, self._discriminator.stamps[estimate.sample]),
+            )
         defects = self._discriminator.defects
         for snapshot in step.snapshots:
             with without_what_fails("no forecast could be published", defects):
@@ -257,12 +289,18 @@ class DiscriminatorNode(SampleNode):
         for verdict in step.verdicts:
             self._publish_verdict(verdict)
         if step.verdicts:  # a match may have brought a candidate
-            with without_what_fails("no question can be answered with what is new", defects):
+            with without_what_fails(
+                "no question can be answered with what is new", defects
+            ):
                 self._forecasts.take(self._discriminator.forecaster.snapshot())
         if len(defects) > self._reported_defects:
             self._reported_defects = len(defects)
             words = "; ".join(map(str, defects.values()))
-            self.health.flag("defect", Level.ERROR, f"a defect of this program, please report it: {words}")
+            self.health.flag(
+                "defect",
+                Level.ERROR,
+                f"a defect of this program, please report it: {words}",
+            )
         self._experimenter.take(step.settled, step.verdicts)
 
     def _request(self, request: MatchRequest) -> None:
@@ -288,10 +326,15 @@ class DiscriminatorNode(SampleNode):
 
     def _on_match(self, report: MatchReport) -> None:
         pending = self._pending
-        requested = None if pending is None else (pending.sample, pending.first, self._length(pending))
+        requested = (
+            None
+            if pending is None
+            else (pending.sample, pending.first, self._length(pending))
+        )
         first, last = report.match.samples
         if requested != (report.sample, first, last + 1 - first):
-            self.health.count("matches not asked for")  # a second answer, or anybody's: not even queued
+            # a second answer, or anybody's: not even queued
+            self.health.count("matches not asked for")
             return
         self._pending = None
         self.put(report)

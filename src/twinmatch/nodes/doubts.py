@@ -59,7 +59,9 @@ class Doubts:
         """Watch a topic, through the newest subscription to it."""
         watched = self._topics.get(topic)
         if watched is None:
-            self._topics[topic] = _Topic(self._node.entrance.second(subscription), self._publishers(topic))
+            self._topics[topic] = _Topic(
+                self._node.entrance.second(subscription), self._publishers(topic)
+            )
         else:
             watched.has_second = self._node.entrance.second(subscription)
 
@@ -76,7 +78,11 @@ class Doubts:
                 topic.until = wall_now + ALONE
             if topic.since is None:
                 continue
-            with_names = {gid: publisher for gid, publisher in topic.seen.items() if publisher != UNKNOWN}
+            with_names = {
+                gid: publisher
+                for gid, publisher in topic.seen.items()
+                if publisher != UNKNOWN
+            }
             topic.seen |= self._publishers(name) | with_names
             over = wall_now > topic.until
             if over or UNKNOWN not in topic.seen.values():
@@ -106,4 +112,7 @@ class Doubts:
             self._tell(doubt_record(self._number), record)
 
     def _publishers(self, topic: str) -> dict[bytes, str]:
-        return {bytes(i.endpoint_gid): i.node_name for i in self._node.get_publishers_info_by_topic(topic)}
+        return {
+            bytes(i.endpoint_gid): i.node_name
+            for i in self._node.get_publishers_info_by_topic(topic)
+        }

@@ -85,10 +85,18 @@ class Entrance:
         expected = MESSAGES.get(kind, MessageRules())
         if expected.departs is None:
             return None
-        return Course(expected.departs, partial(self._publishers, topic), owned=expected.owned)
+        return Course(
+            expected.departs, partial(self._publishers, topic), owned=expected.owned
+        )
 
     def before(
-        self, kind: Any, topic: str, take: Take, course: Course | None = None, *, raw: bool = False
+        self,
+        kind: Any,
+        topic: str,
+        take: Take,
+        course: Course | None = None,
+        *,
+        raw: bool = False,
     ) -> Take:
         """What a raw subscription calls in place of `take`, which gets what `MESSAGES` makes of the bytes.
 
@@ -128,7 +136,9 @@ class Entrance:
         if subscription in self._seconds:
             self._seconds.pop(subscription).destroy()
 
-    def serving(self, name: str, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    def serving(
+        self, name: str, answer: Callable[[Any, Any], Any]
+    ) -> Callable[[Any, Any], Any]:
         """What a service calls in place of `answer`: it answers, whatever it was asked."""
 
         def respond(request: Any, response: Any) -> Any:
@@ -171,10 +181,17 @@ class Entrance:
         kind = f"{name}: {_FIGURES.sub('', why)}"
         wall_now = time.monotonic()
         if kind not in self._refusals:
-            reasons_given = sum(refusal.name == name for refusal in self._refusals.values())
-            if reasons_given >= self.MAX_REASONS or len(self._refusals) >= self.MAX_KINDS:
+            reasons_given = sum(
+                refusal.name == name for refusal in self._refusals.values()
+            )
+            if (
+                reasons_given >= self.MAX_REASONS
+                or len(self._refusals) >= self.MAX_KINDS
+            ):
                 return
-            self._refusals[kind] = _ReportedRefusal(wall_now, f"refused: {name}: {why}", name, topic)
+            self._refusals[kind] = _ReportedRefusal(
+                wall_now, f"refused: {name}: {why}", name, topic
+            )
             self._tell(kind)
         self._refusals[kind].at = wall_now
 
@@ -203,7 +220,10 @@ class Entrance:
         """
         looked_up, names = self._senders.get(topic, (-LOOK, ""))
         if time.monotonic() - looked_up > LOOK:
-            publishers = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
+            publishers = {
+                info.node_name
+                for info in self._node.get_publishers_info_by_topic(topic)
+            }
             names = " or ".join(sorted(publishers)) or "a node that is gone"
             if len(publishers) > self.MAX_NAMES:
                 names = f"one of {len(publishers)} nodes; ros2 topic info -v {topic} lists them"
@@ -212,7 +232,10 @@ class Entrance:
         return names
 
     def _publishers(self, topic: str) -> frozenset[bytes]:
-        return frozenset(bytes(info.endpoint_gid) for info in self._node.get_publishers_info_by_topic(topic))
+        return frozenset(
+            bytes(info.endpoint_gid)
+            for info in self._node.get_publishers_info_by_topic(topic)
+        )
 
 
 class Course:
@@ -242,7 +265,8 @@ class Course:
         self._owners: frozenset[bytes] = frozenset()
         self._refused: list[Any] = []
         self._looked = -LOOK
-        self._second: float | None = None  # when a second publisher was last there; None: long ago
+        # when a second publisher was last there; None: long ago
+        self._second: float | None = None
 
     def follow(self, message: Any, now: float) -> None:
         """Take the next message.
@@ -252,7 +276,11 @@ class Course:
         """
         alone = self._alone(now)
         elapsed = math.inf if alone else now - self._received_at
-        why = "" if self._before is None else self._departs(self._before, message, elapsed)
+        why = (
+            ""
+            if self._before is None
+            else self._departs(self._before, message, elapsed)
+        )
         if why and not self._is_believed(message, now, alone):
             raise MessageError(why)
         if why or self._before is None:
@@ -302,7 +330,10 @@ class SecondPublisher:
         """Look."""
         with self._matched:
             matched = self._matched.take_event()
-        return bool(matched.current_count > 1 or (matched.total_count > 1 and matched.total_count_change > 0))
+        return bool(
+            matched.current_count > 1
+            or (matched.total_count > 1 and matched.total_count_change > 0)
+        )
 
     def destroy(self) -> None:
         """Release the subscription, which others would see until it is collected."""
@@ -313,14 +344,17 @@ def _message(data: bytes, kind: Any) -> Any:
     """The message of a type that these bytes are."""
     try:
         return deserialize_message(data, kind)
-    except Exception as error:  # rclpy raises several kinds for damaged bytes, and gives them no public names
+    except Exception as error:
+        # rclpy raises several kinds for damaged bytes, and gives them no public names
         raise MessageError(f"{len(data)} bytes are not a {kind.__name__}") from error
 
 
 def _refuse(request: Any, response: Any, why: str) -> Any:
     """A response that says why there is no other one, where its type has a place for that."""
     if hasattr(response, "results"):
-        response.results = [SetParametersResult(successful=False, reason=why)] * len(request.parameters)
+        response.results = [SetParametersResult(successful=False, reason=why)] * len(
+            request.parameters
+        )
     elif isinstance(getattr(response, "result", None), SetParametersResult):
         response.result = SetParametersResult(successful=False, reason=why)
     elif hasattr(response, "message"):

@@ -16,7 +16,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterType
-from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters, SetParametersAtomically
+from rcl_interfaces.srv import (
+    GetParameters,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, Temperature
 from std_msgs.msg import Float64, Float64MultiArray
@@ -57,7 +62,9 @@ def check(message: Any, plant: Expected = None) -> None:
         _check_signals(message, plant)
     elif plant is not None and isinstance(message, ours.PlantReading):
         _check_size(message, len(plant.outputs), "output", of="the plant's outputs")
-        _check_size(message, len(plant.outputs), "taken", of="the plant's outputs", empty=True)
+        _check_size(
+            message, len(plant.outputs), "taken", of="the plant's outputs", empty=True
+        )
     elif plant is not None and isinstance(message, ours.PlantApplied):
         _check_size(message, len(plant.drives), "input", of="the plant's drives")
 
@@ -83,9 +90,16 @@ def check_record(message: Any, kind: type, owner: Any = None) -> None:
         _check_form(message, field, owner)
         for requirement in field.requirements:
             for name in _names_of(field):
-                _refuse(requirement.problem(name, getattr(message, name), message, owner))
+                _refuse(
+                    requirement.problem(name, getattr(message, name), message, owner)
+                )
         if field.form is Form.BANDS:
-            _check_size(message, len(getattr(message, field.key)), *_names_of(field), of="its means")
+            _check_size(
+                message,
+                len(getattr(message, field.key)),
+                *_names_of(field),
+                of="its means",
+            )
 
 
 def _check_form(message: Any, field: RecordField, owner: Any) -> None:
@@ -95,7 +109,12 @@ def _check_form(message: Any, field: RecordField, owner: Any) -> None:
     elif field.form is Form.POINT:
         _check_point(message, field.key)
     elif field.form is Form.NAMED:
-        _check_size(message, len(getattr(message, field.key)), values_name(field.key), of=f"its {field.key}")
+        _check_size(
+            message,
+            len(getattr(message, field.key)),
+            values_name(field.key),
+            of=f"its {field.key}",
+        )
     elif field.form is Form.PART:
         check_record(getattr(message, field.key), field.kind, message)
     elif field.form is Form.PARTS:
@@ -107,7 +126,11 @@ def _check_form(message: Any, field: RecordField, owner: Any) -> None:
 
 def _names_of(field: RecordField) -> tuple[str, ...]:
     """The fields of a message with the values of a record's field."""
-    return tuple(field.columns_of_bands.values()) if field.form is Form.BANDS else (field.key,)
+    return (
+        tuple(field.columns_of_bands.values())
+        if field.form is Form.BANDS
+        else (field.key,)
+    )
 
 
 def _refuse(problem: str) -> None:
@@ -115,7 +138,9 @@ def _refuse(problem: str) -> None:
         raise MessageError(problem)
 
 
-def _check_size(message: Any, size: int, *names: str, of: str, empty: bool = False) -> None:
+def _check_size(
+    message: Any, size: int, *names: str, of: str, empty: bool = False
+) -> None:
     for name in names:
         length = len(getattr(message, name))
         if length != size and not (empty and length == 0):
@@ -134,7 +159,9 @@ def _check_word(message: Any, name: str, words: Sequence[str]) -> None:
     word = getattr(message, f"{name}_name")
     if word not in words or getattr(type(message), word.upper()) != number:
         expected = ", ".join(words)
-        raise MessageError(f"{name} is {number} with the word {word[:40]!r}; expected one of {expected}")
+        raise MessageError(
+            f"{name} is {number} with the word {word[:40]!r}; expected one of {expected}"
+        )
 
 
 def _check_point(message: Any, name: str) -> None:
@@ -147,11 +174,15 @@ def _check_window(message: Any) -> None:
     """Check that the window ends at the sample that triggered it, or before."""
     if not 0 <= message.first <= message.last <= message.sample:
         window = f"{message.first} to {message.last}"
-        raise MessageError(f"its window is {window} at sample {message.sample}; it must end there or before")
+        raise MessageError(
+            f"its window is {window} at sample {message.sample}; it must end there or before"
+        )
 
 
 def _check_sample(message: Any) -> None:
-    if missing := incomplete(message.index, [len(getattr(message, name)) for name in LOOP]):
+    if missing := incomplete(
+        message.index, [len(getattr(message, name)) for name in LOOP]
+    ):
         raise MessageError(missing)
     _check_each(message, FINITE, *SAMPLED)
 
@@ -172,13 +203,20 @@ def _check_state(message: Any) -> None:
     outputs = len(message.closed_output)
     inputs = len(message.closed_input)
     if not (len(message.reference) and outputs and inputs):
-        raise MessageError("has no reference, no output or no input; a plant has at least one of each")
+        raise MessageError(
+            "has no reference, no output or no input; a plant has at least one of each"
+        )
     for name in converted.STATE_FIGURES:
         if name.endswith(("_input", "_u")):
             _check_size(message, inputs, name, of="its inputs")
         else:
             _check_size(message, outputs, name, of="its outputs")
-    _check_size(message, len(message.driven_states), "closed_states", of="the states of the driven twin")
+    _check_size(
+        message,
+        len(message.driven_states),
+        "closed_states",
+        of="the states of the driven twin",
+    )
 
 
 def _check_forecast(message: Any) -> None:
@@ -190,10 +228,19 @@ def _check_forecast(message: Any) -> None:
 def _check_match(message: Any) -> None:
     _check_window(message)
     check_record(message, MatchReport)
-    _refuse(unknown_word(message.free, {*message.parameters.names, *message.starts}, "parameter"))
+    _refuse(
+        unknown_word(
+            message.free, {*message.parameters.names, *message.starts}, "parameter"
+        )
+    )
     if len(set(message.free)) != len(message.free):
         raise MessageError("free: a name is given twice")
-    if any(low > high for low, high in zip(message.intervals[::2], message.intervals[1::2], strict=True)):
+    if any(
+        low > high
+        for low, high in zip(
+            message.intervals[::2], message.intervals[1::2], strict=True
+        )
+    ):
         raise MessageError("intervals: a low end is above its high end")
     if message.status == message.ACCEPTED:
         _check_accepted(message, len(message.free))
@@ -208,7 +255,9 @@ def _check_accepted(message: Any, size: int) -> None:
             raise MessageError(f"{name} of an accepted match is not finite")
     covariance = np.array(message.covariance).reshape(size, size)
     if not _is_positive(covariance):
-        raise MessageError("covariance is none: it has an eigenvalue that is not positive")
+        raise MessageError(
+            "covariance is none: it has an eigenvalue that is not positive"
+        )
     if not np.allclose(covariance, covariance.T, rtol=1e-6):
         raise MessageError("covariance is not symmetric")
 
@@ -230,7 +279,13 @@ def _check_verdict(message: Any) -> None:
         raise MessageError("candidates: a name is given twice")
     check_record(message, Verdict)
     modelled = sum(bool(candidate.orders) for candidate in message.candidates)
-    _check_size(message, modelled**2, "identified_gap", of="its candidates with models", empty=True)
+    _check_size(
+        message,
+        modelled**2,
+        "identified_gap",
+        of="its candidates with models",
+        empty=True,
+    )
     _refuse(unknown_word([message.match], {ADMITTED, REFUSED}, "match"))
     for candidate in chain(message.candidates, message.forecasts):
         _check_named(candidate)
@@ -291,21 +346,29 @@ def _check_description(message: Any) -> None:
         raise MessageError("plant is empty; expected its name")
     for signal in chain(*(getattr(message, name) for name in (*SAMPLED, "states"))):
         if not signal.low <= signal.high:
-            raise MessageError(f"{signal.name[:40]} is from {signal.low} to {signal.high}")
+            raise MessageError(
+                f"{signal.name[:40]} is from {signal.low} to {signal.high}"
+            )
 
 
 def _check_image(message: Any) -> None:
-    if not (message.height and message.width) or message.step * message.height != len(message.data):
+    if not (message.height and message.width) or message.step * message.height != len(
+        message.data
+    ):
         size = f"{message.height} rows of {message.step} bytes"
         raise MessageError(f"data has {len(message.data)} bytes for {size}")
     if message.encoding == "32FC1" and message.step != 4 * message.width:
-        raise MessageError(f"a row has {message.step} bytes for {message.width} values of 4 bytes")
+        raise MessageError(
+            f"a row has {message.step} bytes for {message.width} values of 4 bytes"
+        )
 
 
 def _check_health(message: Any) -> None:
     for status in message.status:
         if int.from_bytes(status.level, "little") > 3:
-            raise MessageError(f"level of {status.name[:40]} is {status.level!r}; expected 0 to 3")
+            raise MessageError(
+                f"level of {status.name[:40]} is {status.level!r}; expected 0 to 3"
+            )
 
 
 def _check_past(answer: Any) -> None:
@@ -316,7 +379,9 @@ def _check_past(answer: Any) -> None:
         values = len(getattr(answer, name))
         if values % max(1, size) or (name in LOOP and values < size):
             raise MessageError(f"{name} has {values} values for {size} samples")
-    if any(a >= b for a, b in pairwise(answer.index)) or (size and answer.index[-1] >= GREATEST_INDEX):
+    if any(a >= b for a, b in pairwise(answer.index)) or (
+        size and answer.index[-1] >= GREATEST_INDEX
+    ):
         raise MessageError("index does not rise")
     if any(stamp < 0 for stamp in answer.stamp):
         raise MessageError("stamp is negative")
@@ -338,9 +403,14 @@ def _check_names(request: Any) -> None:
 
 def _check_parameter_values(request: Any) -> None:
     for parameter in request.parameters:
-        if not parameter.name or parameter.value.type > ParameterType.PARAMETER_STRING_ARRAY:
+        if (
+            not parameter.name
+            or parameter.value.type > ParameterType.PARAMETER_STRING_ARRAY
+        ):
             name = parameter.name[:40]
-            raise MessageError(f"parameter {name!r} has type {parameter.value.type}; expected 0 to 9")
+            raise MessageError(
+                f"parameter {name!r} has type {parameter.value.type}; expected 0 to 9"
+            )
 
 
 def _check_values(answer: Any) -> None:
@@ -443,11 +513,20 @@ MESSAGES: Final[dict[Any, MessageRules]] = {
     SetParameters.Request: MessageRules(_check_parameter_values),
     SetParametersAtomically.Request: MessageRules(_check_parameter_values),
     # A value that is out of range is a fault of the plant's, which the guard latches: it must see it.
-    **dict.fromkeys((ours.PlantReading, ours.PlantCommand, ours.PwmCommand, Temperature), MessageRules()),
+    **dict.fromkeys(
+        (ours.PlantReading, ours.PlantCommand, ours.PwmCommand, Temperature),
+        MessageRules(),
+    ),
     # Ranges are judged where the plant is known.
-    **dict.fromkeys((ours.PlantApplied, ours.PwmApplied, Float64, Float64MultiArray), MessageRules()),
+    **dict.fromkeys(
+        (ours.PlantApplied, ours.PwmApplied, Float64, Float64MultiArray), MessageRules()
+    ),
     # Refused in words by the services themselves.
-    **dict.fromkeys((Experiment.Request, TryLaw.Request, ApplyLaw.Request), MessageRules()),
-    **dict.fromkeys((Past.Request, WhatIf.Request, ListParameters.Request), MessageRules()),
+    **dict.fromkeys(
+        (Experiment.Request, TryLaw.Request, ApplyLaw.Request), MessageRules()
+    ),
+    **dict.fromkeys(
+        (Past.Request, WhatIf.Request, ListParameters.Request), MessageRules()
+    ),
 }
 """All types that a node reads; others pass."""

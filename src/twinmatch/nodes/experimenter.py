@@ -19,7 +19,12 @@ from twinmatch.nodes.topics import LATCHED
 from twinmatch.safety import Mover, Turn
 from twinmatch.signals import Sample
 from twinmatch.twin import Snapshot
-from twinmatch.twin.experiment import ExperimentError, ExperimentPhase, ExperimentReport, Wish
+from twinmatch.twin.experiment import (
+    ExperimentError,
+    ExperimentPhase,
+    ExperimentReport,
+    Wish,
+)
 from twinmatch_msgs import msg as messages
 from twinmatch_msgs.srv import Experiment
 
@@ -43,7 +48,9 @@ class Experimenter(Desk):
     controller's profile waits for the operator. The guard acts as ever.
     """
 
-    def __init__(self, node: TwinNode, newest: Newest, stamp_of: StampOf, turn: Turn) -> None:
+    def __init__(
+        self, node: TwinNode, newest: Newest, stamp_of: StampOf, turn: Turn
+    ) -> None:
         """Create service and topic; as for a `Desk`."""
         super().__init__(node, newest, stamp_of, turn)
         self._live: LiveExperiment | None = None
@@ -52,9 +59,13 @@ class Experimenter(Desk):
         """Whether a request has not been answered yet."""
         self._request = ""
         """The word by which the newest request that was not refused at once is known to its sender."""
-        self._reports = node.create_publisher(messages.ExperimentReport, "twin/experiment", LATCHED)
+        self._reports = node.create_publisher(
+            messages.ExperimentReport, "twin/experiment", LATCHED
+        )
         self._get = node.create_client(GetParameters, "controller/get_parameters")
-        self._set = node.create_client(SetParametersAtomically, "controller/set_parameters_atomically")
+        self._set = node.create_client(
+            SetParametersAtomically, "controller/set_parameters_atomically"
+        )
         node.create_service(Experiment, "twin/experiment", self._on_request)
 
     def take(self, samples: Sequence[Sample], verdicts: Sequence[Verdict]) -> None:
@@ -65,7 +76,9 @@ class Experimenter(Desk):
             for verdict in verdicts:
                 self.put(partial(self._judge, verdict, self._newest()))
 
-    def _on_request(self, request: Experiment.Request, _: Experiment.Response) -> Experiment.Response:
+    def _on_request(
+        self, request: Experiment.Request, _: Experiment.Response
+    ) -> Experiment.Response:
         try:
             message = self._stop() if request.stop else self._begin(request)
         except TwinmatchError as error:
@@ -95,7 +108,9 @@ class Experimenter(Desk):
             raise ExperimentError(
                 f"no controller is here (no service {self._set.srv_name}): give these set-points yourself"
             )
-        wish = Wish(request.goal or None, request.minutes or None, tuple(request.within) or None)
+        wish = Wish(
+            request.goal or None, request.minutes or None, tuple(request.within) or None
+        )
         if request.run and (why := self._turn.take(Mover.EXPERIMENT)):
             raise ExperimentError(why)
         self._is_seeking = True
@@ -110,13 +125,22 @@ class Experimenter(Desk):
         else:
             self._is_seeking = False
             self._turn.give_back(Mover.EXPERIMENT)
-            self._publish(ExperimentReport(0, ExperimentPhase.REFUSED, "", 0, reason=reason))
+            self._publish(
+                ExperimentReport(0, ExperimentPhase.REFUSED, "", 0, reason=reason)
+            )
 
     def _seek(self, wish: Wish, run: bool) -> None:
         """Find the course for a wish and, if it is to run, have the controller follow it."""
         newest = self._newest()
-        of_controller = self._parameters_of_controller() if run or self._get.service_is_ready() else {}
-        if len(of_controller) == len(_PARAMETERS) and None not in of_controller.values():
+        of_controller = (
+            self._parameters_of_controller()
+            if run or self._get.service_is_ready()
+            else {}
+        )
+        if (
+            len(of_controller) == len(_PARAMETERS)
+            and None not in of_controller.values()
+        ):
             lowest = _by_output(of_controller["profile.lowest"])
             highest = _by_output(of_controller["profile.highest"])
             wish = replace(wish, ranges=tuple(zip(lowest, highest, strict=True)))
@@ -125,7 +149,7 @@ class Experimenter(Desk):
                 "experiment: the controller takes its set-points from a topic; give these levels there, or "
                 "start it with reference_source: profile"
             )
-        from twinmatch.twin.live_experiment import LiveExperiment  # noqa: PLC0415 — slow, and seldom needed
+        from twinmatch.twin.live_experiment import LiveExperiment  # noqa: PLC0415
 
         self._live = LiveExperiment(self._node.settings, wish, newest)
         self._running = run
@@ -140,7 +164,9 @@ class Experimenter(Desk):
         Raises:
             DeskError: it does not answer.
         """
-        answer = self.answer_of(self._get, GetParameters.Request(names=list(_PARAMETERS)))
+        answer = self.answer_of(
+            self._get, GetParameters.Request(names=list(_PARAMETERS))
+        )
         values = [parameter_value_to_python(value) for value in answer.values]
         return dict(zip(_PARAMETERS, values, strict=False))
 
@@ -171,7 +197,9 @@ class Experimenter(Desk):
             if self._live is not None:
                 self._command(list(self._live.before), [self._node.settings.period])
         except TwinmatchError as error:
-            report = replace(report, reason=f"{report.reason}; the set-point is not back: {error}")
+            report = replace(
+                report, reason=f"{report.reason}; the set-point is not back: {error}"
+            )
         finally:
             self._turn.give_back(Mover.EXPERIMENT)
         self._publish(report)
@@ -182,13 +210,25 @@ class Experimenter(Desk):
         Raises:
             ExperimentError: it refuses, or does not answer.
         """
-        course = {"course.levels": levels, "course.holds": holds, "course.followed": True}
-        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in course.items()]
-        answer = self.answer_of(self._set, SetParametersAtomically.Request(parameters=parameters))
+        course = {
+            "course.levels": levels,
+            "course.holds": holds,
+            "course.followed": True,
+        }
+        parameters = [
+            Parameter(name, value=value).to_parameter_msg()
+            for name, value in course.items()
+        ]
+        answer = self.answer_of(
+            self._set, SetParametersAtomically.Request(parameters=parameters)
+        )
         if not answer.result.successful:
             raise ExperimentError(f"the controller refuses: {answer.result.reason}")
 
     def _publish(self, report: ExperimentReport) -> None:
         self._newest_report = replace(report, request=self._request)
         self._node.health.set("experiment", f"{report.phase.value}: {report.reason}")
-        self._node.publish(self._reports, message_of(self._newest_report, self._stamp_of(report.sample)))
+        self._node.publish(
+            self._reports,
+            message_of(self._newest_report, self._stamp_of(report.sample)),
+        )

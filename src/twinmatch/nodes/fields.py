@@ -39,7 +39,9 @@ class FieldSizes:
 _MOST: Final = FieldSizes()
 GREATEST_INDEX: Final = 2**53
 """Indices below are exact as float64."""
-_INDICES: Final = frozenset({"sample", "first", "last", "index", "sequence", "fault_since", "miss_since"})
+_INDICES: Final = frozenset(
+    {"sample", "first", "last", "index", "sequence", "fault_since", "miss_since"}
+)
 
 
 def check_fields(message: Any, plant: Expected) -> None:
@@ -77,9 +79,11 @@ def _fields_to_check(kind: Any) -> tuple[tuple[str, Test], ...]:
     return tuple(tests)
 
 
-def _check_stamp(stamp: Any, name: str, plant: Expected = None) -> None:  # noqa: ARG001 - one form for all
+def _check_stamp(stamp: Any, name: str, plant: Expected = None) -> None:  # noqa: ARG001
     if stamp.sec < 0 or stamp.nanosec >= 1_000_000_000:
-        raise MessageError(f"{name} is {stamp.sec} s and {stamp.nanosec} ns; a time is not negative")
+        raise MessageError(
+            f"{name} is {stamp.sec} s and {stamp.nanosec} ns; a time is not negative"
+        )
 
 
 def _check_header(header: Any, name: str, plant: Expected) -> None:  # noqa: ARG001
@@ -94,12 +98,16 @@ def _check_index(index: Any, name: str, plant: Expected) -> None:  # noqa: ARG00
 
 def _check_text(text: Any, name: str, plant: Expected) -> None:  # noqa: ARG001
     if len(text) > _MOST.characters:
-        raise MessageError(f"{name} has {len(text)} characters; {_MOST.characters} is the most")
+        raise MessageError(
+            f"{name} has {len(text)} characters; {_MOST.characters} is the most"
+        )
 
 
 def _check_list(values: Any, name: str, plant: Expected) -> None:  # noqa: ARG001
     if len(values) > _MOST.values:
-        raise MessageError(f"{name} has {len(values)} values; {_MOST.values} is the most")
+        raise MessageError(
+            f"{name} has {len(values)} values; {_MOST.values} is the most"
+        )
 
 
 def _check_texts(texts: Any, name: str, plant: Expected) -> None:
@@ -122,7 +130,9 @@ _structures: set[tuple[str, str]] = set()
 
 
 def _check_parameters(parameters: Any, name: str, plant: Expected) -> None:
-    _check_texts((parameters.plant, parameters.structure, *parameters.names), name, plant)
+    _check_texts(
+        (parameters.plant, parameters.structure, *parameters.names), name, plant
+    )
     names = parameters.names
     values = parameters.values
     if len(names) != len(values) or len(parameters.units) not in (0, len(names)):
@@ -131,17 +141,25 @@ def _check_parameters(parameters: Any, name: str, plant: Expected) -> None:
     if len(set(names)) != len(names):
         raise MessageError(f"{name}: a name is given twice")
     if not all(map(math.isfinite, values)):
-        wrong = next(n for n, v in zip(names, values, strict=True) if not math.isfinite(v))
+        wrong = next(
+            n for n, v in zip(names, values, strict=True) if not math.isfinite(v)
+        )
         raise MessageError(f"{name}: {wrong} is not a finite number")
     if plant is not None and parameters.plant not in ("", plant.name):
-        raise MessageError(f"{name}: are those of plant {parameters.plant!r}; this run is of {plant.name}")
+        raise MessageError(
+            f"{name}: are those of plant {parameters.plant!r}; this run is of {plant.name}"
+        )
     if plant is not None and parameters.structure not in ("", *plant.structures):
-        raise MessageError(f"{name}: {plant.name} has no structure {parameters.structure!r}")
+        raise MessageError(
+            f"{name}: {plant.name} has no structure {parameters.structure!r}"
+        )
     if is_marked(parameters.structure):
         _structures.add((parameters.plant, parameters.structure))
         if len(_structures) > _MOST.structures:
             _structures.discard((parameters.plant, parameters.structure))
-            raise MessageError(f"{name}: more than {_MOST.structures} structures are FMUs")
+            raise MessageError(
+                f"{name}: more than {_MOST.structures} structures are FMUs"
+            )
 
 
 _PARTS: Final[dict[str, Test]] = {

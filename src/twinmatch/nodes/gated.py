@@ -102,7 +102,10 @@ class OutputGate:
     def fault(self) -> GuardFault | None:
         """The latched fault, or what limits an output, if any."""
         with self._news:
-            faults = (*(guard.fault for guard in self._guards), *(guard.limited for guard in self._guards))
+            faults = (
+                *(guard.fault for guard in self._guards),
+                *(guard.limited for guard in self._guards),
+            )
             return next(filter(None, faults), None)
 
     @property
@@ -129,7 +132,9 @@ class OutputGate:
             try:
                 self._take(OutputGuard.command, values, stamp=stamp)
             except MessageError as error:
-                self.trip(FaultKind.COMMAND_INVALID, f"the command cannot be used: {error}")
+                self.trip(
+                    FaultKind.COMMAND_INVALID, f"the command cannot be used: {error}"
+                )
             self._index = index
             self.commanded = stamp
 
@@ -137,7 +142,9 @@ class OutputGate:
         """Take the temperatures measured at `stamp` (ns)."""
         self._take(OutputGuard.temperature, celsius, stamp=stamp)
 
-    def sample(self, references: Signals, temperatures: Signals, drives: Signals) -> None:
+    def sample(
+        self, references: Signals, temperatures: Signals, drives: Signals
+    ) -> None:
         """Take one tick of the control loops."""
         self._take(OutputGuard.loop, references, temperatures, drives)
 
@@ -178,7 +185,12 @@ class OutputGate:
             if not self.armed:
                 for guard in guards:
                     guard.passed = 0.0
-            return Decision(tuple(guard.passed for guard in guards), self.armed, self._index, safety_now)
+            return Decision(
+                tuple(guard.passed for guard in guards),
+                self.armed,
+                self._index,
+                safety_now,
+            )
 
     def wait(self, timeout: float) -> None:
         """Sleep until there is a new input, `timeout` seconds of the wall clock at most."""
@@ -190,15 +202,21 @@ class OutputGate:
         with self._news:
             self._news.notify_all()
 
-    def _take(self, take: Callable[..., None], *signals: Any, stamp: int | None = None) -> None:
+    def _take(
+        self, take: Callable[..., None], *signals: Any, stamp: int | None = None
+    ) -> None:
         """Hand each guard its values with the time now, and with their age if they have a stamp (ns)."""
         with self._news:
             safety_now, times = self._now()
             age = () if stamp is None else ((times.stamps - stamp) / 1e9,)
             rows = list(map(point_values, signals))
             if wrong := [len(row) for row in rows if len(row) != len(self._guards)]:
-                raise MessageError(f"it has {wrong[0]} values for {len(self._guards)} drives")
-            for guard, values in zip(self._guards, zip(*rows, strict=True), strict=True):
+                raise MessageError(
+                    f"it has {wrong[0]} values for {len(self._guards)} drives"
+                )
+            for guard, values in zip(
+                self._guards, zip(*rows, strict=True), strict=True
+            ):
                 take(guard, *values, safety_now, *age)
             self._news.notify_all()
 
@@ -215,7 +233,8 @@ def gate_table(usual: GuardLimits, note: str = "") -> tuple[Setting, ...]:
     first, second, *further = parameters_of(usual, **placeholders)
     *runaway, full_command = parameters_of(usual.runaway, "runaway.", **placeholders)
     heat = (
-        parameters_of(getattr(usual, name), f"{name}.", **placeholders) for name in ("budget", "observer")
+        parameters_of(getattr(usual, name), f"{name}.", **placeholders)
+        for name in ("budget", "observer")
     )
     clock = "Zero when /clock stands still for this long, by the wall clock."
     return (
@@ -242,7 +261,8 @@ def gate_limits(usual: GuardLimits, values: Mapping[str, Any]) -> GuardLimits:
         SafetyError: values contradict each other.
     """
     parts = {
-        name: given_to(getattr(usual, name), values, f"{name}.") for name in ("runaway", "budget", "observer")
+        name: given_to(getattr(usual, name), values, f"{name}.")
+        for name in ("runaway", "budget", "observer")
     }
     return replace(given_to(usual, values), **parts)
 
@@ -281,7 +301,12 @@ class DriverThread(Background, ABC, Generic[Link]):
     """Told which commands are applied, if the plant waits for them."""
 
     def __init__(
-        self, link: Link, gate: OutputGate, tell: Tell, health: NodeHealth, pace: DriverPace | None = None
+        self,
+        link: Link,
+        gate: OutputGate,
+        tell: Tell,
+        health: NodeHealth,
+        pace: DriverPace | None = None,
     ) -> None:
         """`tell` is called in the thread, which `start` starts."""
         super().__init__(self.NAME, self._serve_gate, self.CLOSING)
@@ -330,7 +355,8 @@ class DriverThread(Background, ABC, Generic[Link]):
         finally:
             self.connected = False
             if self.link.is_open:
-                with contextlib.suppress(Exception):  # the port must be released whatever happens
+                with contextlib.suppress(Exception):
+                    # the port must be released whatever happens
                     self._zero()
             self.link.close()
 
@@ -407,7 +433,9 @@ class GatedNode(TwinmatchNode):
         return [OutputGuard(limits, self.observer(limits))]
 
     @classmethod
-    def observer(cls, limits: GuardLimits, typical: Parameters | None = None) -> DriveObserver:
+    def observer(
+        cls, limits: GuardLimits, typical: Parameters | None = None
+    ) -> DriveObserver:
         """What follows the drive without the sensor, on the `typical` plant."""
         return DriveObserver(
             typical or cls.PLANT.model(cls.STRUCTURE).typical(),
@@ -426,14 +454,18 @@ class GatedNode(TwinmatchNode):
             driver.step = self.step
             driver.link.plant_time = self.step.breathe
         self._driver = driver
-        self._moves = self.get_clock().create_jump_callback(EVERY_MOVE, post_callback=self.gate.wake)
+        self._moves = self.get_clock().create_jump_callback(
+            EVERY_MOVE, post_callback=self.gate.wake
+        )
         self.beside.append(driver)
         self._senders = Senders(self, inputs, self._on_senders)
         for place in ("~", "plant"):
             self.create_service(Trigger, f"{place}/clear_fault", self._on_clear)
             self.create_service(Trigger, f"{place}/stop", self._on_stop)
         self.create_subscription(LoopSample, "plant/sample", self._on_sample, RELIABLE)
-        self.create_subscription(ModelScore, "twin/model_score", self._on_verdict, RELIABLE)
+        self.create_subscription(
+            ModelScore, "twin/model_score", self._on_verdict, RELIABLE
+        )
         self.report_on()
         driver.start()
 
@@ -443,11 +475,23 @@ class GatedNode(TwinmatchNode):
         health = self.health
         armed = self.gate.armed
         health.set("armed", armed)
-        health.say("passing commands" if armed else "waiting for a fresh command and temperature")
+        health.say(
+            "passing commands"
+            if armed
+            else "waiting for a fresh command and temperature"
+        )
         unwatched = armed and time.monotonic() - self._sampled_at > UNWATCHED
         for failed, key, message in (
-            (self.gate.clock_stopped, "clock", "the clock stands still; nothing is driven"),
-            (unwatched, "watch", "no messages on plant/sample; runaway is not monitored"),
+            (
+                self.gate.clock_stopped,
+                "clock",
+                "the clock stands still; nothing is driven",
+            ),
+            (
+                unwatched,
+                "watch",
+                "no messages on plant/sample; runaway is not monitored",
+            ),
         ):
             health.flag_if(failed, key, Level.WARN, message)
         return super().report()
@@ -461,14 +505,20 @@ class GatedNode(TwinmatchNode):
             self.health.withdraw("fault")
         elif fault is not reported:
             zero = fault.kind is not FaultKind.LIMITED
-            self.health.flag("fault", Level.ERROR if zero else Level.WARN, fault_text(fault))
+            self.health.flag(
+                "fault", Level.ERROR if zero else Level.WARN, fault_text(fault)
+            )
             self.health.count("faults" if zero else "limits")
-            self.get_logger().error(f"output is {'zero: ' if zero else ''}{fault_text(fault)}")
+            self.get_logger().error(
+                f"output is {'zero: ' if zero else ''}{fault_text(fault)}"
+            )
 
     def _read_clocks(self) -> ClockTimes:
         stamps = self.get_clock().now().nanoseconds
         wall = time.monotonic_ns()
-        return ClockTimes(stamps, stamps if self.get_clock().ros_time_is_active else wall, wall)
+        return ClockTimes(
+            stamps, stamps if self.get_clock().ros_time_is_active else wall, wall
+        )
 
     def _on_senders(self, why: str) -> None:
         self.gate.hold(why)
@@ -498,25 +548,31 @@ class GatedNode(TwinmatchNode):
             self.gate.trip(kind, why)
             self.note_fault()
 
-    def _on_clear(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_clear(
+        self, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
         fault = self.gate.fault
         if fault is None:
             response.success = True
             response.message = "there is no fault"
         elif not self._driver.connected:
-            response.message = f"{fault_text(fault)}; not cleared: the {self.BOARD} is not connected"
+            response.message = (
+                f"{fault_text(fault)}; not cleared: the {self.BOARD} is not connected"
+            )
         else:
             self._driver.clear()
             self.gate.clear()
             self.note_fault()
             response.success = True
-            response.message = (
-                f"cleared {fault_text(fault)}; commands pass again after a new command and temperature"
-            )
+            response.message = f"cleared {fault_text(fault)}; commands pass again after a new command and temperature"
         return response
 
-    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.gate.trip(FaultKind.STOPPED, "stopped on request; call clear_fault to continue")
+    def _on_stop(
+        self, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        self.gate.trip(
+            FaultKind.STOPPED, "stopped on request; call clear_fault to continue"
+        )
         self.note_fault()
         response.success = True
         response.message = fault_text(self.gate.fault)

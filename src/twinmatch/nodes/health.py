@@ -89,11 +89,18 @@ class NodeHealth:
             idle = self._idle
         if not standing:
             return Report(Level.OK, idle, values)
-        return Report(standing[0][0], "; ".join(message for _, message in standing), values)
+        return Report(
+            standing[0][0], "; ".join(message for _, message in standing), values
+        )
 
 
 def status_message(name: str, report: Report) -> DiagnosticStatus:
     """One report as a message."""
-    values = [KeyValue(key=key, value=printable(value)) for key, value in report.values.items()]
+    values = [
+        KeyValue(key=key, value=printable(value))
+        for key, value in report.values.items()
+    ]
     message = printable(report.message)  # what cannot be encoded cannot be sent
-    return DiagnosticStatus(level=bytes([report.level]), name=name, message=message, values=values)
+    return DiagnosticStatus(
+        level=bytes([report.level]), name=name, message=message, values=values
+    )

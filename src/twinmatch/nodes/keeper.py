@@ -70,7 +70,9 @@ class RunStore:
         end = request.first + request.count
         answer.match, match_end = self._messages(Match, request.matches, end)
         answer.score, end = self._messages(ModelScore, request.scores, match_end)
-        rows = self.samples.rows(request.first, max(0, end - request.first), self.MAX_SAMPLES)
+        rows = self.samples.rows(
+            request.first, max(0, end - request.first), self.MAX_SAMPLES
+        )
         for name in ("index", "stamp", *SAMPLED):
             setattr(answer, name, rows[SAMPLED.get(name, name)].ravel().tolist())
         answer.matches_heard = len(self.messages[Match])
@@ -83,7 +85,10 @@ class RunStore:
         """The messages of a kind after the first `received`, and before which sample (`end` at most) there
         are no more of them than these."""
         spool = self.messages[kind]
-        messages = [deserialize_message(data, kind) for data in spool.since(received, self.MAX_MESSAGES)]
+        messages = [
+            deserialize_message(data, kind)
+            for data in spool.since(received, self.MAX_MESSAGES)
+        ]
         if received + len(messages) < len(spool):
             end = min(end, messages[-1].sample)
         return messages, end
@@ -101,17 +106,27 @@ class Keeper(TwinmatchNode):
     NAME = KEEPER
 
     @classmethod
-    def table_for(cls, overrides: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
+    def table_for(
+        cls, overrides: Mapping[str, Any]
+    ) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """No parameters: those given to its process are for the other nodes in it."""
-        return (), {name: value for name, value in overrides.items() if name.startswith(BUILT_IN)}
+        return (), {
+            name: value
+            for name, value in overrides.items()
+            if name.startswith(BUILT_IN)
+        }
 
     def open(self) -> None:
         """Subscribe and offer the service."""
         self._store = RunStore()
         self._requested_at = -LINGER
-        self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
+        self.create_subscription(
+            LoopSample, "plant/sample", self._on_sample, EVERYTHING
+        )
         for kind, name in TOPICS.items():
-            self.create_subscription(kind, name, partial(self._on_message, kind), EVERYTHING, raw=True)
+            self.create_subscription(
+                kind, name, partial(self._on_message, kind), EVERYTHING, raw=True
+            )
         self.create_service(Past, PAST, self._on_question)
         Senders(self, ("plant/sample", "/clock"))
         self.health.say("keeping")

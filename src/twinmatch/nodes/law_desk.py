@@ -44,7 +44,9 @@ class LawDesk(Desk):
     answer that the operator has seen, that answer has expired. What the controller is asked for is signed.
     """
 
-    def __init__(self, node: TwinNode, newest: Newest, stamp_of: StampOf, turn: Turn) -> None:
+    def __init__(
+        self, node: TwinNode, newest: Newest, stamp_of: StampOf, turn: Turn
+    ) -> None:
         """Create service and topic; as for a `Desk`."""
         super().__init__(node, newest, stamp_of, turn)
         self._signature = RunSignature.of_run()
@@ -77,7 +79,9 @@ class LawDesk(Desk):
         if not self._trying:
             self._turn.give_back(Mover.LAW)
 
-    def _on_request(self, request: TryLaw.Request, _: TryLaw.Response) -> TryLaw.Response:
+    def _on_request(
+        self, request: TryLaw.Request, _: TryLaw.Response
+    ) -> TryLaw.Response:
         if why := self._reason_to_refuse(request):
             return TryLaw.Response(success=False, message=why)
         self._trying = True
@@ -101,22 +105,31 @@ class LawDesk(Desk):
 
     def _try(self, request: TryLaw.Request) -> None:
         """Answer; if asked to, and if it is safe or the operator insists, have the controller run it."""
-        from twinmatch.controllers import Holding, gains_from, try_now  # noqa: PLC0415 — slow, seldom needed
+        from twinmatch.controllers import Holding, gains_from, try_now  # noqa: PLC0415
         from twinmatch.dynamics import PidLoops  # noqa: PLC0415
         from twinmatch.twin.matcher import one_thread  # noqa: PLC0415
         from twinmatch.twin.tried import tried_twins  # noqa: PLC0415
 
         settings = self._node.settings
         snapshot = self._newest()
-        gains = gains_from(parse_json(request.law, "law"), settings.plant, settings.period)
+        gains = gains_from(
+            parse_json(request.law, "law"), settings.plant, settings.period
+        )
         leader = snapshot.outlook()
         law = gains[0] if len(gains) == 1 else PidLoops.of(*gains)
         sample = leader.sample
         holding = Holding(settings.law, settings.period, settings.schedule.span)
         with one_thread():
-            tried = try_now(tried_twins(snapshot), law, holding, np.array(sample.references))
-        vectors = [outlook.parameters.vector.tobytes() for outlook in snapshot.outlooks.values()]
-        family = hashlib.blake2b(b"".join([*vectors, repr(gains).encode()]), digest_size=6).hexdigest()
+            tried = try_now(
+                tried_twins(snapshot), law, holding, np.array(sample.references)
+            )
+        vectors = [
+            outlook.parameters.vector.tobytes()
+            for outlook in snapshot.outlooks.values()
+        ]
+        family = hashlib.blake2b(
+            b"".join([*vectors, repr(gains).encode()]), digest_size=6
+        ).hexdigest()
         answer = LawReport(
             sample.index,
             TrialPhase.ANSWERED,
@@ -131,7 +144,11 @@ class LawDesk(Desk):
             self._trying = False
 
     def _run(
-        self, request: TryLaw.Request, tried: TrialAnswer, gains: Sequence[PidGains], answer: LawReport
+        self,
+        request: TryLaw.Request,
+        tried: TrialAnswer,
+        gains: Sequence[PidGains],
+        answer: LawReport,
     ) -> None:
         """Have the controller put a law on trial that was answered about.
 
@@ -159,7 +176,7 @@ class LawDesk(Desk):
             request=self._word,
             **by_name,
         )
-        assert self._signature is not None  # noqa: S101 — or the request was refused
+        assert self._signature is not None  # noqa: S101
         law_request.signature = self._signature.of(law_request)
         response: Any = self.answer_of(self._apply, law_request)
         if not response.success:
@@ -174,4 +191,6 @@ class LawDesk(Desk):
     def _publish(self, report: LawReport) -> None:
         report = replace(report, request=self._request.request)
         self._node.health.set("law", f"{report.phase.value}: {report.reason}")
-        self._node.publish(self._reports, message_of(report, self._stamp_of(report.sample)))
+        self._node.publish(
+            self._reports, message_of(report, self._stamp_of(report.sample))
+        )

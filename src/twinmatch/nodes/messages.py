@@ -76,11 +76,30 @@ STATE_FIGURES = (
     "driven_residual_y", "closed_rms_y", "closed_rms_u", "driven_rms_y",
 )  # fmt: skip
 
-SHOWN = (1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 240.0, 300.0)
+SHOWN = (
+    1.0,
+    2.0,
+    3.0,
+    5.0,
+    7.0,
+    10.0,
+    15.0,
+    20.0,
+    30.0,
+    45.0,
+    60.0,
+    90.0,
+    120.0,
+    180.0,
+    240.0,
+    300.0,
+)
 """Times ahead at which a forecast is published, s: closely spaced where the forecast is sharp."""
 
 
-def state_message(state: MirrorState, leader: str, states: Iterable[str]) -> messages.TwinState:
+def state_message(
+    state: MirrorState, leader: str, states: Iterable[str]
+) -> messages.TwinState:
     """The states of the twins as `TwinState`.
 
     Args:
@@ -148,7 +167,9 @@ def parameters_message(parameters: Parameters | None) -> messages.Parameters:
     return _fill(messages.Parameters(), parameters_tree(parameters))
 
 
-def description_message(description: Description, period: float) -> messages.PlantDescription:
+def description_message(
+    description: Description, period: float
+) -> messages.PlantDescription:
     """A plant as `PlantDescription`; `period` (s) is the sampling period it is run with."""
     return _fill(messages.PlantDescription(), description_tree(description, period))
 
@@ -157,7 +178,9 @@ def shown_samples(period: float, horizons: tuple[int, ...]) -> tuple[int, ...]:
     """Samples ahead at which a forecast is published, with a period in s: all horizons, some between."""
     longest = max(horizons)
     between = {round(seconds / period) for seconds in SHOWN}
-    return tuple(sorted({*horizons, *(ahead for ahead in between if 1 <= ahead <= longest)}))
+    return tuple(
+        sorted({*horizons, *(ahead for ahead in between if 1 <= ahead <= longest)})
+    )
 
 
 def question_from(request: services.WhatIf.Request) -> Question:

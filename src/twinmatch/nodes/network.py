@@ -34,7 +34,10 @@ PROFILES = {
 }
 """Profiles that bind Fast DDS to 127.0.0.1, by environment variable: the first is for version 2 (Jazzy), the
 second for version 3 (Kilted and later), which also reads the first variable but cannot parse its file."""
-VERSIONS = {"FASTRTPS_DEFAULT_PROFILES_FILE": "fastrtps", "FASTDDS_DEFAULT_PROFILES_FILE": "fastdds"}
+VERSIONS = {
+    "FASTRTPS_DEFAULT_PROFILES_FILE": "fastrtps",
+    "FASTDDS_DEFAULT_PROFILES_FILE": "fastdds",
+}
 """Folder in `share/` of the Fast DDS version that belongs to each variable."""
 
 LEASE = "TWINMATCH_LEASE"
@@ -62,7 +65,8 @@ class Network(Enum):
 
 
 def prepare(
-    environment: MutableMapping[str, str] = os.environ, profiles: Mapping[str, Path] = PROFILES
+    environment: MutableMapping[str, str] = os.environ,
+    profiles: Mapping[str, Path] = PROFILES,
 ) -> Network:
     """Set the variables that ROS 2 reads when it starts; call it before `rclpy.init`.
 
@@ -78,7 +82,9 @@ def prepare(
     try:
         network = Network(value)
     except ValueError:
-        msg = f"network: {VARIABLE} is {value!r}; use 'loopback' (the default) or 'open'"
+        msg = (
+            f"network: {VARIABLE} is {value!r}; use 'loopback' (the default) or 'open'"
+        )
         raise NetworkError(msg) from None
     if network is Network.OPEN:
         warning = f"NETWORK OPEN: {VARIABLE}=open, other machines can read and command these nodes"
@@ -130,7 +136,9 @@ def _with_lease(profile: Path, seconds: str) -> Path:
         return profile
     if not seconds.isdecimal():
         raise NetworkError(f"network: {LEASE} is {seconds!r}; give whole seconds")
-    changed = re.sub(r"(<leaseDuration><sec>)\d+", rf"\g<1>{seconds}", profile.read_text("utf-8"))
+    changed = re.sub(
+        r"(<leaseDuration><sec>)\d+", rf"\g<1>{seconds}", profile.read_text("utf-8")
+    )
     digest = hashlib.sha256(changed.encode()).hexdigest()[:12]
     profile_copy = cache_folder() / f"{profile.stem}-{digest}.xml"
     try:
@@ -139,7 +147,9 @@ def _with_lease(profile: Path, seconds: str) -> Path:
         part.write_text(changed, "utf-8")
         part.replace(profile_copy)
     except OSError as error:
-        raise NetworkError(f"network: {profile_copy} cannot be written ({error.strerror})") from error
+        raise NetworkError(
+            f"network: {profile_copy} cannot be written ({error.strerror})"
+        ) from error
     return profile_copy
 
 
@@ -151,7 +161,9 @@ def shell_lines(environment: Mapping[str, str] = os.environ) -> list[str]:
     """
     prepared = dict(environment)
     prepare(prepared)
-    changed = (name for name in sorted(prepared) if environment.get(name) != prepared[name])
+    changed = (
+        name for name in sorted(prepared) if environment.get(name) != prepared[name]
+    )
     gone = sorted(set(environment) - set(prepared))
     return [f"export {name}={shlex.quote(prepared[name])}" for name in changed] + [
         f"unset {name}" for name in gone
@@ -166,7 +178,11 @@ def log_arguments(environment: Mapping[str, str] = os.environ) -> list[str]:
     if "ROS_LOG_DIR" in environment or "ROS_HOME" in environment:
         return []
     home = environment.get("HOME", "")
-    return [] if home and os.access(home, os.W_OK) else ["--ros-args", "--disable-external-lib-logs"]
+    return (
+        []
+        if home and os.access(home, os.W_OK)
+        else ["--ros-args", "--disable-external-lib-logs"]
+    )
 
 
 def check_sockets() -> None:
@@ -205,12 +221,16 @@ def sockets_elsewhere(process: int | str = "self") -> list[str]:
 def _check_domain(value: str) -> None:
     """Refuse a domain for which DDS, which computes its ports from it, has none: those from 233 on."""
     # ROS reads "" as domain 0.
-    if value and not (value.isascii() and value.isdigit() and int(value[:9]) <= LAST_DOMAIN):
+    if value and not (
+        value.isascii() and value.isdigit() and int(value[:9]) <= LAST_DOMAIN
+    ):
         msg = f"network: {DOMAIN} is {value[:40]!r}; it must be a whole number from 0 to {LAST_DOMAIN}"
         raise NetworkError(msg)
 
 
-def _installed(profiles: Mapping[str, Path], environment: Mapping[str, str]) -> Mapping[str, Path]:
+def _installed(
+    profiles: Mapping[str, Path], environment: Mapping[str, str]
+) -> Mapping[str, Path]:
     """The profiles for the installed version of Fast DDS; all of them if none is found."""
     prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     shares = [Path(prefix) / "share" for prefix in prefixes if prefix]
@@ -223,7 +243,10 @@ def _installed(profiles: Mapping[str, Path], environment: Mapping[str, str]) -> 
 
 def _find_wheels(environment: MutableMapping[str, str]) -> None:
     """Set AMENT_PREFIX_PATH for a ROS 2 from wheels; a sourced ROS 2 sets it itself."""
-    if "AMENT_PREFIX_PATH" not in environment and (Path(sys.prefix) / "share" / "rclpy").is_dir():
+    if (
+        "AMENT_PREFIX_PATH" not in environment
+        and (Path(sys.prefix) / "share" / "rclpy").is_dir()
+    ):
         environment["AMENT_PREFIX_PATH"] = sys.prefix
 
 

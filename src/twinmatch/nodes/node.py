@@ -13,7 +13,12 @@ from queue import Empty, SimpleQueue
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.node import Node
@@ -44,7 +49,9 @@ class Worker(Background, Generic[Queued]):
     defect and ends the worker.
     """
 
-    def __init__(self, handle: Callable[[Queued], None], health: NodeHealth, backlog: int = 100) -> None:
+    def __init__(
+        self, handle: Callable[[Queued], None], health: NodeHealth, backlog: int = 100
+    ) -> None:
         """Start the thread; a queue longer than `backlog` is reported as a warning."""
         super().__init__("worker", self._work)
         self._handle = handle
@@ -66,7 +73,9 @@ class Worker(Background, Generic[Queued]):
         """Report the queue's depth."""
         depth = self.depth
         self._health.set("queue depth", depth)
-        message = f"{depth} messages are queued; they arrive faster than they are processed"
+        message = (
+            f"{depth} messages are queued; they arrive faster than they are processed"
+        )
         self._health.flag_if(depth > self._backlog, "queue", Level.WARN, message)
 
     def _work(self) -> None:
@@ -93,7 +102,9 @@ class Readers:
     Nodes are matched by name: foreign programs may subscribe too, and come and go.
     """
 
-    def __init__(self, node: TwinmatchNode, topic: str, timeout: float, number: int = 0) -> None:
+    def __init__(
+        self, node: TwinmatchNode, topic: str, timeout: float, number: int = 0
+    ) -> None:
         """Wait for the nodes of the parameter `readers` and so many subscribers, `timeout` s at most."""
         self._node = node
         self._topic = topic
@@ -109,11 +120,19 @@ class Readers:
         """Which readers do not subscribe yet, as a sentence; empty if none is missing."""
         if not (self._names or self._number):
             return ""
-        names = [info.node_name for info in self._node.get_subscriptions_info_by_topic(self._topic)]
+        names = [
+            info.node_name
+            for info in self._node.get_subscriptions_info_by_topic(self._topic)
+        ]
         if missing := sorted(self._names.difference(names)):
             return f"{', '.join(missing)} did not subscribe to {self._topic}"
-        number = sum(name != KEEPER for name in names)  # the keeper runs in the publisher's process
-        return "" if number >= self._number else f"{self._topic} has {number} of {self._number} subscribers"
+        # the keeper runs in the publisher's process
+        number = sum(name != KEEPER for name in names)
+        return (
+            ""
+            if number >= self._number
+            else f"{self._topic} has {number} of {self._number} subscribers"
+        )
 
     @property
     def late(self) -> bool:
@@ -199,7 +218,11 @@ class TwinmatchNode(Node):
         self.health = NodeHealth()
         self.entrance = Entrance(self, self.health)
         try:
-            super().__init__(self.NAME, context=context, automatically_declare_parameters_from_overrides=True)
+            super().__init__(
+                self.NAME,
+                context=context,
+                automatically_declare_parameters_from_overrides=True,
+            )
         except ValueError as error:  # an empty list or null has no type in ROS 2
             msg = f"{self.NAME}: a parameter is empty ([] or null); leave it out or give it a value"
             raise ParameterError(msg) from error
@@ -217,19 +240,30 @@ class TwinmatchNode(Node):
 
     def wall_timer(self, period: float, call: Callable[[], object]) -> Timer:
         """Call this every `period` s by a clock that runs even while simulated time is stopped."""
-        return self.create_timer(period, call, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        return self.create_timer(
+            period, call, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
 
     def create_subscription(
-        self, msg_type: Any, topic: str, callback: Callable[[Any], None], qos_profile: Any, **options: Any
+        self,
+        msg_type: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos_profile: Any,
+        **options: Any,
     ) -> Any:
         """Subscribe through the entrance: `callback` gets what `expected.MESSAGES` makes of a message.
 
         Bytes that are not a message reach it, too; a subscription of rclpy's that is not raw drops them.
         """
         course = self.entrance.course(msg_type, topic)
-        take = self.entrance.before(msg_type, topic, callback, course, raw=options.get("raw", False))
+        take = self.entrance.before(
+            msg_type, topic, callback, course, raw=options.get("raw", False)
+        )
         raw_options = options | {"raw": True}
-        subscription = super().create_subscription(msg_type, topic, take, qos_profile, **raw_options)
+        subscription = super().create_subscription(
+            msg_type, topic, take, qos_profile, **raw_options
+        )
         if course is not None and course.owned:
             course.second = self.entrance.second(subscription)
         return subscription
@@ -240,7 +274,11 @@ class TwinmatchNode(Node):
         return bool(super().destroy_subscription(subscription))
 
     def create_service(
-        self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
+        self,
+        srv_type: Any,
+        srv_name: str,
+        callback: Callable[[Any, Any], Any],
+        **options: Any,
     ) -> Any:
         """Serve through the entrance."""
         answer = self.entrance.serving(srv_name, callback)
@@ -263,11 +301,16 @@ class TwinmatchNode(Node):
             name = self.get_fully_qualified_name().lstrip("/")
             message = DiagnosticArray()
             message.header.stamp = self.get_clock().now().to_msg()
-            message.status = [status_message(f"{name}: {key}", task()) for key, task in self._tasks.items()]
+            message.status = [
+                status_message(f"{name}: {key}", task())
+                for key, task in self._tasks.items()
+            ]
             self._diagnostics.publish(message)
 
     @classmethod
-    def table_for(cls, overrides: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
+    def table_for(
+        cls, overrides: Mapping[str, Any]
+    ) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The node's parameters, which may depend on the given values, and the given values to check.
 
         Raises:
@@ -300,7 +343,9 @@ class TwinmatchNode(Node):
     def failure(self) -> Exception | None:
         """The error with which the process has to end, if any."""
         failures = (part.failure for part in self.beside)
-        return self.failed or next((failure for failure in failures if failure is not None), None)
+        return self.failed or next(
+            (failure for failure in failures if failure is not None), None
+        )
 
     @property
     def busy(self) -> bool:
@@ -314,7 +359,9 @@ class TwinmatchNode(Node):
     def _on_set(self, parameters: Sequence[Any]) -> SetParametersResult:
         """Handle `ros2 param set`: check against the table, then let the node adopt the values."""
         requested = {parameter.name: parameter.value for parameter in parameters}
-        table = {parameter.name: parameter for parameter in self.table_for(self.values)[0]}
+        table = {
+            parameter.name: parameter for parameter in self.table_for(self.values)[0]
+        }
         values = dict(self.values)
         try:
             for name, value in requested.items():
@@ -333,7 +380,10 @@ class TwinmatchNode(Node):
 
 
 def declare(
-    node: Node, table_for: Callable[[Mapping[str, Any]], tuple[Sequence[Setting], Mapping[str, Any]]]
+    node: Node,
+    table_for: Callable[
+        [Mapping[str, Any]], tuple[Sequence[Setting], Mapping[str, Any]]
+    ],
 ) -> Values:
     """Declare a node's parameters and return their values; `table_for` gets the values given.
 
@@ -343,15 +393,23 @@ def declare(
     Raises:
         ParameterError: as for `check`.
     """
-    overrides = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()}
+    overrides = {
+        name: parameter.value
+        for name, parameter in node.get_parameters_by_prefix("").items()
+    }
     table, to_check = table_for(overrides)
     values = check(node.get_name(), table, to_check)
-    for name in (*(name for name in overrides if name not in to_check), *(p.name for p in table)):
+    for name in (
+        *(name for name in overrides if name not in to_check),
+        *(p.name for p in table),
+    ):
         if node.has_parameter(name):
             node.undeclare_parameter(name)
     for parameter in table:
         value = values[parameter.name]
-        node.declare_parameter(parameter.name, value, _descriptor(parameter), ignore_override=True)
+        node.declare_parameter(
+            parameter.name, value, _descriptor(parameter), ignore_override=True
+        )
     return values
 
 
@@ -359,7 +417,9 @@ def _descriptor(parameter: Setting) -> ParameterDescriptor:
     limits = parameter.limits
     text = f"{parameter.description} ({limits})" if limits else parameter.description
     constraint = "" if parameter.changeable else "read once, when the node starts"
-    descriptor = ParameterDescriptor(description=text, additional_constraints=constraint)
+    descriptor = ParameterDescriptor(
+        description=text, additional_constraints=constraint
+    )
     low = parameter.low
     high = parameter.high
     if math.isfinite(low) and math.isfinite(high):
@@ -367,5 +427,7 @@ def _descriptor(parameter: Setting) -> ParameterDescriptor:
             span = FloatingPointRange(from_value=float(low), to_value=float(high))
             descriptor.floating_point_range = [span]
         elif type(parameter.default) is int:
-            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+            descriptor.integer_range = [
+                IntegerRange(from_value=int(low), to_value=int(high), step=1)
+            ]
     return descriptor

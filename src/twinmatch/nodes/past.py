@@ -36,8 +36,14 @@ NONE = 2**64 - 1
 def samples_of_answer(answer: Past.Response) -> Iterator[Sample]:
     """The samples in an answer."""
     size = len(answer.index)
-    signals = [np.array(getattr(answer, name)).reshape(size, -1).tolist() for name in SAMPLED] if size else []
-    for index, stamp, *rows in zip(answer.index.tolist(), answer.stamp.tolist(), *signals, strict=True):
+    signals = (
+        [np.array(getattr(answer, name)).reshape(size, -1).tolist() for name in SAMPLED]
+        if size
+        else []
+    )
+    for index, stamp, *rows in zip(
+        answer.index.tolist(), answer.stamp.tolist(), *signals, strict=True
+    ):
         yield Sample(index, stamp, *map(tuple, rows))
 
 
@@ -112,12 +118,16 @@ class Stream:
             self._learn(answer)
         self._matches = min(self._matches + len(answer.match), NONE)
         self._verdicts = min(self._verdicts + len(answer.score), NONE)
-        lacks_messages = self._matches < answer.matches_heard or self._verdicts < answer.scores_heard
+        lacks_messages = (
+            self._matches < answer.matches_heard or self._verdicts < answer.scores_heard
+        )
         samples = list(samples_of_answer(answer))
         for sample in samples:
             self._pass_on(sample)
         self.missing = range(self._end, missing.stop)
-        if not lacks_messages and (not self.missing or (not samples and answer.heard >= missing.stop)):
+        if not lacks_messages and (
+            not self.missing or (not samples and answer.heard >= missing.stop)
+        ):
             self.skip()
             return True
         return bool(samples) or len(answer.match) > 0 or len(answer.score) > 0
@@ -295,7 +305,10 @@ class RecorderPast:
         self.stream = Stream(self._on_next, self._learn, verdicts=True)
         self._write = write
         self._sample, self._match, self._score = topics
-        self._kinds: Mapping[str, type[Match | ModelScore]] = {self._match: Match, self._score: ModelScore}
+        self._kinds: Mapping[str, type[Match | ModelScore]] = {
+            self._match: Match,
+            self._score: ModelScore,
+        }
         self._about: list[HeldMessage] = []
         """Messages about samples that are still to come, in the order of writing."""
         self._copies = Copies()
@@ -322,7 +335,10 @@ class RecorderPast:
         self._caught_up = True
 
     def _learn(self, answer: Past.Response) -> None:
-        for name, messages in ((self._match, answer.match), (self._score, answer.score)):
+        for name, messages in (
+            (self._match, answer.match),
+            (self._score, answer.score),
+        ):
             for message in messages:
                 self._copies.add(name, repr(message))
                 data = serialized(message)

@@ -19,8 +19,19 @@ class PlantClock(TwinmatchNode):
 
     NAME = "plant_clock"
     PARAMETERS: ClassVar = (
-        Setting("address", "", "HOST:PORT of the clock, as the virtual rig prints it; required."),
-        Setting("patience", 1.0, "Wall time after which a stopped clock is an error.", "s", 0.1, 60.0),
+        Setting(
+            "address",
+            "",
+            "HOST:PORT of the clock, as the virtual rig prints it; required.",
+        ),
+        Setting(
+            "patience",
+            1.0,
+            "Wall time after which a stopped clock is an error.",
+            "s",
+            0.1,
+            60.0,
+        ),
     )
 
     def read_parameters(self) -> None:

@@ -112,7 +112,14 @@ class Player(TwinmatchNode):
         Setting("rate", 1.0, _RATE, "", 0.0, 1000.0, changeable=True),
         Setting("paused", False, "Start paused; the service ~/pause continues."),
         Setting("clock", True, "Publish /clock."),
-        Setting("wait_for", 1, "Readers of plant/sample to wait for before the first message.", "", 0, 100),
+        Setting(
+            "wait_for",
+            1,
+            "Readers of plant/sample to wait for before the first message.",
+            "",
+            0,
+            100,
+        ),
         READERS,
         Setting("wait_timeout", 10.0, _TIMEOUT, "s", 0.1, 3600.0),
     )
@@ -130,8 +137,12 @@ class Player(TwinmatchNode):
     def open(self) -> None:
         """Read the session and start to wait for readers."""
         if not self.values["session"]:
-            raise PlayerError("player: the session is missing; give --ros-args -p session:=path/to/session")
-        self._session = read_session(Path(self.values["session"]), self.values["topic"] or None)
+            raise PlayerError(
+                "player: the session is missing; give --ros-args -p session:=path/to/session"
+            )
+        self._session = read_session(
+            Path(self.values["session"]), self.values["topic"] or None
+        )
         self._prefix = self._session.topic.removesuffix(SAMPLE)
         self._publishers_of = {
             topic.name: self.create_publisher(
@@ -143,8 +154,12 @@ class Player(TwinmatchNode):
         }
         if self._session.topic not in self._publishers_of:
             missing = self._relative(self._session.topic)
-            raise PlayerError(f"player: topics {self.values['topics']} leave out {missing}; add it")
-        self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if self.values["clock"] else None
+            raise PlayerError(
+                f"player: topics {self.values['topics']} leave out {missing}; add it"
+            )
+        self._clock_publisher = (
+            self.create_publisher(Clock, "/clock", 10) if self.values["clock"] else None
+        )
         self._pace = Pace(self.values["rate"], self._session.start / 1e9)
         self.create_service(SetBool, "~/pause", self._on_pause)
         for note in self._session.notes:
@@ -161,7 +176,9 @@ class Player(TwinmatchNode):
             self.health.set("rate", self._pace.rate)
             self.health.set("paused", self._paused)
             position = self._pace.position(time.monotonic()) - self._session.start / 1e9
-        self.health.set("position", f"{position:.1f} s of {self._session.duration:.1f} s")
+        self.health.set(
+            "position", f"{position:.1f} s of {self._session.duration:.1f} s"
+        )
         return super().report()
 
     def close(self) -> bool:
@@ -174,7 +191,9 @@ class Player(TwinmatchNode):
     def _relative(self, name: str) -> str:
         return name.removeprefix(self._prefix)
 
-    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+    def _on_pause(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
         with self._change:
             self._paused = request.data
             if request.data:
@@ -200,7 +219,9 @@ class Player(TwinmatchNode):
     def _wait_for_readers(self) -> bool:
         timeout = self.values["wait_timeout"]
         number = self.values["wait_for"]
-        readers = Readers(self, self._publishers_of[self._session.topic].topic_name, timeout, number)
+        readers = Readers(
+            self, self._publishers_of[self._session.topic].topic_name, timeout, number
+        )
         while lacking := readers.lacking:
             if readers.late:
                 msg = f"player: {lacking} after {timeout:g} s; start them first, or lower wait_for"
@@ -217,7 +238,11 @@ class Player(TwinmatchNode):
                 return False
             self._publish_clock(message.log_time)
             self._publish(message)
-            if self._pace.rate == 0 and self._played % BATCH == 0 and not self._wait_for_delivery():
+            if (
+                self._pace.rate == 0
+                and self._played % BATCH == 0
+                and not self._wait_for_delivery()
+            ):
                 return False
         return True
 
@@ -232,7 +257,9 @@ class Player(TwinmatchNode):
                 if wait == 0:
                     self._pace.reach(recorded, wall_now)
                     return True
-                self._publish_clock(min(log_time, round(self._pace.position(wall_now) * 1e9)))
+                self._publish_clock(
+                    min(log_time, round(self._pace.position(wall_now) * 1e9))
+                )
                 self._change.wait(TICK if wait is None else min(wait, TICK))
         return False
 
@@ -242,7 +269,9 @@ class Player(TwinmatchNode):
 
     def _publish_clock(self, recorded: int) -> None:
         if self._clock_publisher is not None:
-            self._clock_publisher.publish(Clock(clock=Time(nanoseconds=recorded).to_msg()))
+            self._clock_publisher.publish(
+                Clock(clock=Time(nanoseconds=recorded).to_msg())
+            )
 
     def _wait_for_delivery(self, deadline: float | None = None) -> bool:
         """Wait until the readers have received what was published; returns whether they have.
@@ -257,7 +286,9 @@ class Player(TwinmatchNode):
             if publisher.qos_profile.reliability != ReliabilityPolicy.RELIABLE:
                 continue
             while not publisher.wait_for_all_acked(Duration(seconds=0.5)):
-                if self._thread.ending.is_set() or (deadline is not None and time.monotonic() > deadline):
+                if self._thread.ending.is_set() or (
+                    deadline is not None and time.monotonic() > deadline
+                ):
                     return False
         return True
 
@@ -265,16 +296,21 @@ class Player(TwinmatchNode):
         if self._wait_for_delivery(time.monotonic() + self.values["wait_timeout"]):
             self.health.say(f"ended: all {self._played} messages were delivered")
         else:
-            self.health.flag("end", Level.WARN, "ended: the last messages did not reach all readers")
+            self.health.flag(
+                "end", Level.WARN, "ended: the last messages did not reach all readers"
+            )
         self._over = True
         self.report_now()
-        self._diagnostics.wait_for_all_acked(Duration(seconds=1.0))  # the page shows this as the end
+        # the page shows this as the end
+        self._diagnostics.wait_for_all_acked(Duration(seconds=1.0))
         self.exit_code = 0
 
 
 def playing_profile(qos: Qos) -> QoSProfile:
     """The recorded quality of service, with a deeper queue, so that a reader may be slow for a while."""
-    return profile_of(qos, qos.depth if qos.durability == "transient_local" else max(qos.depth, DEPTH))
+    return profile_of(
+        qos, qos.depth if qos.durability == "transient_local" else max(qos.depth, DEPTH)
+    )
 
 
 def class_of(topic: Topic) -> Any:

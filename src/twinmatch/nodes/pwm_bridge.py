@@ -18,7 +18,15 @@ from twinmatch.links.pwm_link import (
     PwmVersionError,
 )
 from twinmatch.links.pwm_protocol import Banner, Flags
-from twinmatch.nodes.gated import NAN, Decision, DriverPace, DriverThread, GatedNode, fault_text, gate_table
+from twinmatch.nodes.gated import (
+    NAN,
+    Decision,
+    DriverPace,
+    DriverThread,
+    GatedNode,
+    fault_text,
+    gate_table,
+)
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
@@ -52,7 +60,11 @@ class PwmDriver(DriverThread[PwmLink]):
             raise error
         if isinstance(error, PwmLatchedError) and error.flags & Flags.DRIVER:
             return FaultKind.DRIVER
-        return FaultKind.BOARD if isinstance(error, PwmLatchedError | PwmResetError) else None
+        return (
+            FaultKind.BOARD
+            if isinstance(error, PwmLatchedError | PwmResetError)
+            else None
+        )
 
     def _connect(self) -> None:
         banner = self.link.open()
@@ -62,8 +74,12 @@ class PwmDriver(DriverThread[PwmLink]):
             tripped = "the board has tripped because the motor driver reported a fault"
             self._gate.trip(FaultKind.DRIVER, tripped)
         elif flags & Flags.BUDGET:
-            tripped = "the board has switched off: high drive for longer than a plant needs"
-            self._gate.trip(FaultKind.BOARD, f"{tripped}; check sensor and drive, let it cool")
+            tripped = (
+                "the board has switched off: high drive for longer than a plant needs"
+            )
+            self._gate.trip(
+                FaultKind.BOARD, f"{tripped}; check sensor and drive, let it cool"
+            )
         elif not self._has_answered:
             self.link.clear()
         elif flags & Flags.RESET:
@@ -105,7 +121,8 @@ class PwmDriver(DriverThread[PwmLink]):
     def _drive(self, decision: Decision) -> None:
         if not self._driving:
             self._wake()
-            decision = self._gate.decide()  # clearing takes time, in which the gate may have closed
+            # clearing takes time, in which the gate may have closed
+            decision = self._gate.decide()
             if not decision.armed:
                 return
         self._driving = True
@@ -137,11 +154,15 @@ class PwmBridge(GatedNode):
     BOARD = "PWM board"
     PLANT: ClassVar = Peltier
     STRUCTURE: ClassVar = Peltier.followed
-    LIMITS: ClassVar = GuardLimits(unit=Peltier.output.unit, drive_unit=unit_of(Peltier.drive))
+    LIMITS: ClassVar = GuardLimits(
+        unit=Peltier.output.unit, drive_unit=unit_of(Peltier.drive)
+    )
     PARAMETERS: ClassVar = (
         Setting("port", "/dev/ttyACM0", "Serial port of the PWM board."),
         *parameters_of(LinkSettings()),
-        Setting("repeat", 0.1, "Interval at which the command is repeated.", "s", 0.02, 0.2),
+        Setting(
+            "repeat", 0.1, "Interval at which the command is repeated.", "s", 0.02, 0.2
+        ),
         Setting("frame_id", "driver", "Frame of plant/pwm_applied."),
         *gate_table(LIMITS, "; a flat-field correction takes 1 s"),
     )
@@ -156,11 +177,21 @@ class PwmBridge(GatedNode):
         """Subscribe, and start to search for the board."""
         commands = "plant/pwm_command"
         temperatures = "plant/temperature"
-        self.create_subscription(Temperature, temperatures, self._on_temperature, qos_profile_sensor_data)
-        self.create_subscription(PwmCommand, commands, self._on_command, qos_profile_sensor_data)
+        self.create_subscription(
+            Temperature, temperatures, self._on_temperature, qos_profile_sensor_data
+        )
+        self.create_subscription(
+            PwmCommand, commands, self._on_command, qos_profile_sensor_data
+        )
         self._applied = self.create_publisher(PwmApplied, "plant/pwm_applied", RELIABLE)
         self.health.set("port", self.values["port"])
-        driver = PwmDriver(self._link, self.gate, self._tell, self.health, DriverPace(self.values["repeat"]))
+        driver = PwmDriver(
+            self._link,
+            self.gate,
+            self._tell,
+            self.health,
+            DriverPace(self.values["repeat"]),
+        )
         self.drive(driver, commands, temperatures)
 
     def report(self) -> Report:
@@ -177,7 +208,9 @@ class PwmBridge(GatedNode):
     def _tell(self, applied: Applied | None, index: int) -> None:
         """Publish the command that the board applies; called in the driver's thread."""
         self.note_fault()
-        message = PwmApplied(sequence=index, pwm=NAN, current=NAN, fault=fault_text(self.gate.fault))
+        message = PwmApplied(
+            sequence=index, pwm=NAN, current=NAN, fault=fault_text(self.gate.fault)
+        )
         message.header.stamp = self.get_clock().now().to_msg()
         message.header.frame_id = self.values["frame_id"]
         if applied is None:

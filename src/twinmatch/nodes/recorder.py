@@ -108,7 +108,8 @@ class NodeSettings:
         self._own_name = node.get_fully_qualified_name()
         self._namespace = node.get_namespace().rstrip("/") + "/"
         self._clients: dict[str, list[Any]] = {}
-        self._asked: dict[str, float] = {}  # when each node was asked that has not answered, wall s
+        # when each node was asked that has not answered, wall s
+        self._asked: dict[str, float] = {}
         self._known_nodes: set[str] = set()
         self._answered: set[str] = set()  # since the last call
 
@@ -132,7 +133,11 @@ class NodeSettings:
 
     def _is_of_rig(self, name: str) -> bool:
         """Whether a node is another one in this namespace, and is not hidden."""
-        return name.startswith(self._namespace) and name != self._own_name and "/_" not in name
+        return (
+            name.startswith(self._namespace)
+            and name != self._own_name
+            and "/_" not in name
+        )
 
     def _ask(self, name: str, now: float) -> None:
         """Ask a node for its parameters, once its services are there."""
@@ -149,7 +154,9 @@ class NodeSettings:
 
         def get(future: Any) -> None:
             listed = future.result()
-            names = [] if listed is None else list(listed.result.names)[: self.MAX_NAMES]
+            names = (
+                [] if listed is None else list(listed.result.names)[: self.MAX_NAMES]
+            )
             answer = getting.call_async(GetParameters.Request(names=names))
             answer.add_done_callback(lambda done: self._take(name, names, done))
 
@@ -158,10 +165,14 @@ class NodeSettings:
     def _take(self, name: str, names: list[str], future: Any) -> None:
         answer = future.result()
         parameters: dict[str, Any] = {}
-        if answer is not None and self._node.entrance.passes(f"{name}/get_parameters", answer):
+        if answer is not None and self._node.entrance.passes(
+            f"{name}/get_parameters", answer
+        ):
             for parameter, value in zip(names, answer.values, strict=False):
                 parameters[parameter] = _json_value(parameter_value_to_python(value))
-        texts = {parameter: json.dumps(value) for parameter, value in parameters.items()}
+        texts = {
+            parameter: json.dumps(value) for parameter, value in parameters.items()
+        }
         self._tell(parameters_record(name), texts)
         path = parameters.get("candidates")
         if isinstance(path, str) and path:
@@ -177,7 +188,9 @@ class NodeSettings:
 
 def _json_value(value: Any) -> Any:
     """A value of a parameter as JSON takes it: arrays are lists."""
-    return list(value) if hasattr(value, "tolist") or isinstance(value, tuple) else value
+    return (
+        list(value) if hasattr(value, "tolist") or isinstance(value, tuple) else value
+    )
 
 
 def _read(path: str) -> str:
@@ -210,10 +223,26 @@ class RecorderNode(TwinmatchNode):
     LINGER: ClassVar = 0.3
     PARAMETERS: ClassVar = (
         Setting("folder", "sessions", "Folder for the sessions; created if missing."),
-        Setting("name", "", "Name of the session; empty: rig_ and the date and time of the start."),
-        Setting("continues", "", "Session of this run that an earlier recorder began; empty: none."),
-        Setting("also", ["/diagnostics"], "Topics to record outside the namespace, such as /rosout."),
-        Setting("leave_out", ["parameter_events"], "Prefixes of relative topic names not to record."),
+        Setting(
+            "name",
+            "",
+            "Name of the session; empty: rig_ and the date and time of the start.",
+        ),
+        Setting(
+            "continues",
+            "",
+            "Session of this run that an earlier recorder began; empty: none.",
+        ),
+        Setting(
+            "also",
+            ["/diagnostics"],
+            "Topics to record outside the namespace, such as /rosout.",
+        ),
+        Setting(
+            "leave_out",
+            ["parameter_events"],
+            "Prefixes of relative topic names not to record.",
+        ),
         *parameters_of(RecordingLimits()),
     )
 
@@ -225,7 +254,9 @@ class RecorderNode(TwinmatchNode):
         name = values["name"] or time.strftime("rig_%Y-%m-%d_%H-%M-%S")
         limits = given_to(RecordingLimits(), values)
         distro = os.environ.get("ROS_DISTRO", "unknown")
-        self._recording = Recording(Path(values["folder"]) / name, limits, ros_distro=distro)
+        self._recording = Recording(
+            Path(values["folder"]) / name, limits, ros_distro=distro
+        )
         self._following = Following(self, raw=True)
         self._kinds: dict[str, str] = {}
         self._unknown: set[str] = set()
@@ -242,7 +273,10 @@ class RecorderNode(TwinmatchNode):
         if self.step is not None:
             self.step.wait_for(lambda: worker.depth > self.AHEAD)
         self._settings = NodeSettings(self, self._record)
-        names = [self.resolve_topic_name(n) for n in ("plant/sample", "twin/match", "twin/model_score")]
+        names = [
+            self.resolve_topic_name(n)
+            for n in ("plant/sample", "twin/match", "twin/model_score")
+        ]
         self._past = past = RecorderPast(names, self._keep)
         self._judged_topics = names
         self._doubts = Doubts(self, self._record)
@@ -317,7 +351,11 @@ class RecorderNode(TwinmatchNode):
         if name not in self._following:
             try:
                 topic = Topic(
-                    name, kind, schema_of(kind), str(publishers[0].topic_type_hash), offered(publishers)
+                    name,
+                    kind,
+                    schema_of(kind),
+                    str(publishers[0].topic_type_hash),
+                    offered(publishers),
                 )
             except SessionError as error:
                 self._unknown.add(name)
@@ -326,13 +364,17 @@ class RecorderNode(TwinmatchNode):
             self._arrivals[name] = Arrivals()
             self._put(partial(self._recording.add_topic, topic))
         if len(kinds) > 1:
-            text = f"{name} is published as {' and '.join(kinds)}; only {kind} is recorded"
+            text = (
+                f"{name} is published as {' and '.join(kinds)}; only {kind} is recorded"
+            )
             self.health.flag(name, Level.WARN, text)
         lost = SubscriptionEventCallbacks(
             message_lost=partial(self._on_lost, name), use_default_callbacks=False
         )
         take = partial(self._on_message, name)
-        reader = self._following.subscribe(name, kind, publishers, take, event_callbacks=lost)
+        reader = self._following.subscribe(
+            name, kind, publishers, take, event_callbacks=lost
+        )
         if name in self._judged_topics:
             self._doubts.watch(name, reader)
 
@@ -368,7 +410,9 @@ class RecorderNode(TwinmatchNode):
     def _report_topics(self) -> Report:
         wall_now = time.monotonic()
         arrivals = dict(self._arrivals)
-        silent = [name for name, of_topic in arrivals.items() if of_topic.silent(wall_now)]
+        silent = [
+            name for name, of_topic in arrivals.items() if of_topic.silent(wall_now)
+        ]
         values = {name: of_topic.text() for name, of_topic in arrivals.items()}
         if silent:
             return Report(Level.WARN, f"silent: {', '.join(silent)}", values)

@@ -41,7 +41,8 @@ from twinmatch.sessions.documents import DocumentError, read_yaml
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor
-except ImportError:  # Jazzy before rclpy 7.1.4, or a release that moves what is experimental
+except ImportError:
+    # Jazzy before rclpy 7.1.4, or a release that moves what is experimental
     EventsExecutor = SingleThreadedExecutor
 
 EXIT_DEFECT = 1
@@ -58,7 +59,9 @@ class RunnerError(TwinmatchError):
     """The command line of a node cannot be used."""
 
 
-def run(kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str] | None = None) -> int:
+def run(
+    kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str] | None = None
+) -> int:
     """Run nodes in this process until one of them finishes or a signal arrives.
 
     SIGINT and SIGTERM are ignored from then on: a second one, while Python shuts down, would make a clean
@@ -90,7 +93,9 @@ def _run(kinds: Sequence[type[TwinmatchNode]], arguments: list[str]) -> int:
             print(_help(kinds))
             return 0
         if unknown:
-            raise RunnerError(f"{_program(arguments)}: unknown argument {unknown[0]}; see --help")
+            raise RunnerError(
+                f"{_program(arguments)}: unknown argument {unknown[0]}; see --help"
+            )
         nodes.start(kinds, arguments)
         while code is None and not stop.is_set():
             code = nodes.spin_once()
@@ -133,7 +138,9 @@ class Nodes:
         """Time that `close` may take besides `TEARDOWN`, s."""
         return max((node.CLOSING for node in self._nodes), default=0)
 
-    def start(self, kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str]) -> None:
+    def start(
+        self, kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str]
+    ) -> None:
         """Start ROS with a command line, and create and open the nodes.
 
         Raises:
@@ -143,7 +150,9 @@ class Nodes:
         with _clear_errors(arguments):
             options = SignalHandlerOptions.NO
             words = [*arguments, *network.log_arguments()]
-            rclpy.init(args=words, context=self._context, signal_handler_options=options)
+            rclpy.init(
+                args=words, context=self._context, signal_handler_options=options
+            )
         self._executor = executor_of(self._context)
         for kind in kinds:
             node = kind(self._context)
@@ -166,11 +175,15 @@ class Nodes:
             if part is not None and part.failure is not None:
                 raise part.failure
         ended = [node.exit_code for node in self._nodes if node.exit_code is not None]
-        return ended[0] if ended and not any(node.busy for node in self._nodes) else None
+        return (
+            ended[0] if ended and not any(node.busy for node in self._nodes) else None
+        )
 
     def linger(self) -> None:
         """Let the nodes take what was sent before the end and has not reached their callbacks yet."""
-        until = time.monotonic() + max((node.LINGER for node in self._nodes), default=0.0)
+        until = time.monotonic() + max(
+            (node.LINGER for node in self._nodes), default=0.0
+        )
         while time.monotonic() < until:
             self.spin_once()
 
@@ -187,7 +200,10 @@ class Nodes:
             Exception: a part failed to end; the others have been ended nonetheless.
         """
         return end_in_order(
-            self._end_threads, self._stop_executor, self._destroy_nodes, self._shut_context_down
+            self._end_threads,
+            self._stop_executor,
+            self._destroy_nodes,
+            self._shut_context_down,
         )
 
     def _end_threads(self) -> bool:
@@ -243,7 +259,9 @@ def _clear_errors(arguments: Sequence[str]) -> Iterator[None]:
         yield
     except Exception as error:  # rclpy gives these errors no public names
         cause = re.sub(r",? at /\S+", "", str(error))
-        cause = re.sub(r"^(failed to initialize rcl|Failed to parse ROS arguments): ", "", cause)
+        cause = re.sub(
+            r"^(failed to initialize rcl|Failed to parse ROS arguments): ", "", cause
+        )
         raise RunnerError(f"{_program(arguments)}: {cause}") from error
 
 

@@ -13,7 +13,13 @@ from twinmatch.nodes.messages import sample_message
 from twinmatch.nodes.node import Missed, Readers, TwinmatchNode
 from twinmatch.nodes.topics import RELIABLE, ForeignTopics
 from twinmatch.parameters.declared import Setting
-from twinmatch.parameters.sampler import listener_of, sampler_table, source_of, types_of, understood
+from twinmatch.parameters.sampler import (
+    listener_of,
+    sampler_table,
+    source_of,
+    types_of,
+    understood,
+)
 from twinmatch.plants import find_plant
 from twinmatch.sampling.channels import SamplingError
 from twinmatch.sampling.listener import SEARCH
@@ -33,7 +39,9 @@ class SamplerNode(TwinmatchNode):
     PARAMETERS: ClassVar = sampler_table()
 
     @classmethod
-    def table_for(cls, overrides: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
+    def table_for(
+        cls, overrides: Mapping[str, Any]
+    ) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The parameters for the selected plant."""
         return understood(cls.NAME, overrides)
 
@@ -41,16 +49,22 @@ class SamplerNode(TwinmatchNode):
         """Create the listener."""
         self._plant = find_plant(self.values["plant"])
         self._types = types_of(self.NAME, self.values["types"])
-        self._listener = listener_of(self.NAME, self.values, lambda: int(self.get_clock().now().nanoseconds))
+        self._listener = listener_of(
+            self.NAME, self.values, lambda: int(self.get_clock().now().nanoseconds)
+        )
 
     def open(self) -> None:
         """Start to search for the topics."""
         listener = self._listener
         period = self.values["period"]
         self._publisher = self.create_publisher(LoopSample, "plant/sample", RELIABLE)
-        listener.open(source_of(self.values) or partial(ForeignTopics, self, types=self._types))
+        listener.open(
+            source_of(self.values) or partial(ForeignTopics, self, types=self._types)
+        )
         self._missed = Missed(self.health, "the loop paused: ")
-        self._readers = Readers(self, self._publisher.topic_name, self.values["readers_timeout"])
+        self._readers = Readers(
+            self, self._publisher.topic_name, self.values["readers_timeout"]
+        )
         self._index = -1
         self._first: int | None = None
         """The sampler's index of the first published sample, which is published as sample 0."""
@@ -79,7 +93,9 @@ class SamplerNode(TwinmatchNode):
                 f"{name}: missing, late, out of range, not a number",
                 f"{counts.missing}, {counts.late}, {counts.beyond}, {sampler.refused(name)}",
             )
-            self.health.set(f"{name}: values that could not be read", listener.refusals[name].count)
+            self.health.set(
+                f"{name}: values that could not be read", listener.refusals[name].count
+            )
             text = listener.trouble(name)
             if "lag behind" in text and not simulated:
                 text = f"{text}; if they are in simulated time, set use_sim_time"
@@ -111,7 +127,9 @@ class SamplerNode(TwinmatchNode):
                 if self._first is None:
                     self._first = sample.index
                 self._index = sample.index - self._first
-                self._publisher.publish(sample_message(replace(sample, index=self._index), self._plant.name))
+                self._publisher.publish(
+                    sample_message(replace(sample, index=self._index), self._plant.name)
+                )
                 self.health.set("sample", self._index)
                 self.health.say("sampling")
         self._missed.watch(self._listener.sampler.grid.missed, self._index)

@@ -26,7 +26,9 @@ from twinmatch_msgs.srv import Past
 class SampleWatch:
     """Checks the samples' indices and arrival, and reports gaps and silence."""
 
-    def __init__(self, health: NodeHealth, period: float, patience: int = 5, remember: int = 60) -> None:
+    def __init__(
+        self, health: NodeHealth, period: float, patience: int = 5, remember: int = 60
+    ) -> None:
         """Report silence after `patience` periods (s each), and a gap for `remember` samples."""
         self._health = health
         self._silence = patience * period
@@ -43,9 +45,15 @@ class SampleWatch:
             self._health.say("working")
         elif index != self.last + 1:
             between = f"samples {self.last + 1} to {index - 1} are missing"
-            message = between if index > self.last else f"sample {index} came after sample {self.last}"
+            message = (
+                between
+                if index > self.last
+                else f"sample {index} came after sample {self.last}"
+            )
             self._health.count("gaps")
-            self._health.flag("gap", Level.ERROR, f"{message}; behind a long gap windows start over")
+            self._health.flag(
+                "gap", Level.ERROR, f"{message}; behind a long gap windows start over"
+            )
             self._since_gap = 0
         self._since_gap += 1
         if self._since_gap > self._remember:
@@ -58,7 +66,9 @@ class SampleWatch:
         """Report silence if no sample has arrived for too long; withdraw it once they arrive again."""
         silent = now - self._arrived
         down = self.last is not None and silent > self._silence
-        self._health.flag_if(down, "silence", Level.WARN, f"no sample for {silent:.0f} s")
+        self._health.flag_if(
+            down, "silence", Level.WARN, f"no sample for {silent:.0f} s"
+        )
 
 
 class Standstill(Background):
@@ -97,7 +107,10 @@ class Standstill(Background):
 
     def wait(self) -> None:
         """Wait until readers are connected again; returns at once unless the process was suspended."""
-        while not self.ending.is_set() and (delay := self.remaining(time.monotonic())) > 0.0:
+        while (
+            not self.ending.is_set()
+            and (delay := self.remaining(time.monotonic())) > 0.0
+        ):
             self.ending.wait(delay)
 
     def _watch(self) -> None:
@@ -115,7 +128,9 @@ class TwinNode(TwinmatchNode):
     FIXED = "a replay must give the recorded verdicts"
 
     @classmethod
-    def table_for(cls, overrides: Mapping[str, Any]) -> tuple[Sequence[Setting], Mapping[str, Any]]:
+    def table_for(
+        cls, overrides: Mapping[str, Any]
+    ) -> tuple[Sequence[Setting], Mapping[str, Any]]:
         """The parameters of the selected plant and structure."""
         return understood(cls.NAME, overrides)
 
@@ -178,9 +193,14 @@ class SampleNode(TwinNode):
         self._stream = Stream(self._on_next, self.learn)
         self._connected = False
         self._catching_up = CatchingUp(
-            self, self._stream, ready=self._has_readers, waiting=lambda: self.worker.depth
+            self,
+            self._stream,
+            ready=self._has_readers,
+            waiting=lambda: self.worker.depth,
         )
-        self.create_subscription(LoopSample, "plant/sample", self._on_sample, EVERYTHING)
+        self.create_subscription(
+            LoopSample, "plant/sample", self._on_sample, EVERYTHING
+        )
 
     def learn(self, answer: Past.Response) -> None:
         """Take results published before this node started; called before the samples they are about."""
@@ -193,12 +213,15 @@ class SampleNode(TwinNode):
     def _has_readers(self, age: float) -> bool:
         """Whether the readers of this node are connected; results for fetched samples follow at once."""
         if not self._connected:
-            self._connected = age > self.MAX_SETTLE or (age > self.SETTLE and self._all_connected())
+            self._connected = age > self.MAX_SETTLE or (
+                age > self.SETTLE and self._all_connected()
+            )
         return self._connected
 
     def _all_connected(self) -> bool:
         return all(
-            publisher.get_subscription_count() >= self.count_subscribers(publisher.topic_name)
+            publisher.get_subscription_count()
+            >= self.count_subscribers(publisher.topic_name)
             for publisher in self.publishers
         )
 

@@ -20,7 +20,10 @@ class Senders:
     """
 
     def __init__(
-        self, node: TwinmatchNode, topics: Sequence[str], changed: Callable[[str], None] = lambda _: None
+        self,
+        node: TwinmatchNode,
+        topics: Sequence[str],
+        changed: Callable[[str], None] = lambda _: None,
     ) -> None:
         """Look regularly; `changed` is called with what was found (empty: nothing) when that changes."""
         self._node = node
@@ -41,7 +44,9 @@ class Senders:
         if self._node.count_publishers(topic) < 2:
             self._node.health.withdraw(f"senders: {topic}")
             return ""
-        names = sorted(info.node_name for info in self._node.get_publishers_info_by_topic(topic))
+        names = sorted(
+            info.node_name for info in self._node.get_publishers_info_by_topic(topic)
+        )
         text = f"{topic} is published by {' and '.join(names)}; end all but one of them"
         level = Level.ERROR if len(set(names)) > 1 else Level.WARN
         self._node.health.flag(f"senders: {topic}", level, text)

@@ -48,11 +48,19 @@ class RunSignature:
         for name in request.get_fields_and_field_types():
             value = getattr(request, name)
             if name != "signature":
-                signed[name] = value if isinstance(value, bool | int | float | str) else list(value)
+                signed[name] = (
+                    value
+                    if isinstance(value, bool | int | float | str)
+                    else list(value)
+                )
         # Not the serialised message: it has bytes between its fields that mean nothing. A number is written
         # with all its digits.
-        return hmac.new(self._secret, repr(signed).encode(errors="replace"), "sha256").hexdigest()
+        return hmac.new(
+            self._secret, repr(signed).encode(errors="replace"), "sha256"
+        ).hexdigest()
 
     def signs(self, request: Any) -> bool:
         """Whether a request has its signature."""
-        return hmac.compare_digest(self.of(request).encode(), request.signature.encode())
+        return hmac.compare_digest(
+            self.of(request).encode(), request.signature.encode()
+        )

@@ -39,7 +39,9 @@ class _Task:
         """Do it if it is due; what was missed is not made up for."""
         if now >= self.due:
             self.due = (
-                now + self._period if self.due == 0 else now - (now - self.due) % self._period + self._period
+                now + self._period
+                if self.due == 0
+                else now - (now - self.due) % self._period + self._period
             )
             self._call()
 
@@ -133,7 +135,8 @@ class InStep(Background):
     def _on_clock(self, message: Clock) -> None:
         plant_now = message.clock.sec * 1_000_000_000 + message.clock.nanosec
         with self._lock:
-            if plant_now < self._now:  # the plant was restarted, or the time before was not its own
+            if plant_now < self._now:
+                # the plant was restarted, or the time before was not its own
                 self._until = self._sent = 0
                 for task in self._tasks:
                     task.due = 0
@@ -150,7 +153,8 @@ class InStep(Background):
         while not self.ending.is_set():
             self._news.clear()
             settled = self._let_if_done()
-            if not self.ending.is_set():  # it may have been set before the news were cleared
+            if not self.ending.is_set():
+                # it may have been set before the news were cleared
                 self._news.wait(self.IDLE if settled else self.SOON)
 
     def _let_if_done(self) -> bool:
@@ -160,7 +164,11 @@ class InStep(Background):
         with self._lock:
             if self._busy or (self._driving and self._applied < self._sent):
                 return False
-            until = min(task.due for task in self._tasks) if self._driving else self._now + self.LEAD
+            until = (
+                min(task.due for task in self._tasks)
+                if self._driving
+                else self._now + self.LEAD
+            )
         if any(queued() for queued in self._queues):
             return False
         if self._driving or until - self._until >= self.LEAD // 2:

@@ -12,8 +12,22 @@ from rclpy.qos import qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
 from twinmatch.comparing import Verdict
-from twinmatch.links.kit_link import KitAbsentError, KitError, KitLink, KitReading, KitSilentError
-from twinmatch.nodes.gated import NAN, Decision, DriverPace, DriverThread, GatedNode, fault_text, gate_table
+from twinmatch.links.kit_link import (
+    KitAbsentError,
+    KitError,
+    KitLink,
+    KitReading,
+    KitSilentError,
+)
+from twinmatch.nodes.gated import (
+    NAN,
+    Decision,
+    DriverPace,
+    DriverThread,
+    GatedNode,
+    fault_text,
+    gate_table,
+)
 from twinmatch.nodes.health import Level
 from twinmatch.nodes.messages import nanoseconds
 from twinmatch.nodes.topics import RELIABLE
@@ -30,13 +44,16 @@ from twinmatch.safety import (
     RunawayLimits,
     StandIn,
 )
-from twinmatch_msgs.msg import EstimatedReading, PlantApplied, PlantCommand, PlantReading
+from twinmatch_msgs.msg import (
+    EstimatedReading,
+    PlantApplied,
+    PlantCommand,
+    PlantReading,
+)
 
 _PORT = "Serial port of the kit, such as /dev/ttyACM0; empty: the first on the USB bus."
 _PLANT = "Whether heater 1 is driven or both."
-_READ_THROUGH = (
-    "Outputs for whose sensors the twin's estimate may stand in; needs both heaters; with spaces between."
-)
+_READ_THROUGH = "Outputs for whose sensors the twin's estimate may stand in; needs both heaters; with spaces between."
 _DEADLINE = "Zero after this time without a command from this node, by the wall clock."
 
 
@@ -52,7 +69,9 @@ MAX_SILENCE = 0.3
 def _seen_from_heater_2(limits: ObserverLimits) -> ObserverLimits:
     """The observer's limits with what is measured of a kit as heater 2 sees it."""
     measured = limits.measured().items()
-    swapped = ", ".join(f"{_SWAPPED.get(name, name)} = {value!r}" for name, value in measured)
+    swapped = ", ".join(
+        f"{_SWAPPED.get(name, name)} = {value!r}" for name, value in measured
+    )
     return replace(limits, known=swapped)
 
 
@@ -83,13 +102,20 @@ class KitDriver(DriverThread[KitLink]):
         self._tell(self.link.drive(0.0, 0.0), 0)
 
     def _serve(self, decision: Decision) -> None:
-        power, second_power = (*decision.inputs, *self._gate.beside) if decision.armed else (0.0, 0.0)
+        power, second_power = (
+            (*decision.inputs, *self._gate.beside) if decision.armed else (0.0, 0.0)
+        )
         wanted = (power, second_power)
         # By the wall clock too: a slow or stopped plant clock must not look like the end of this process.
         due = decision.time - self._sent_at >= self._pace.repeat or not self.connected
-        if due or wanted != self._sent or time.monotonic() - self._wall_sent_at >= MAX_SILENCE:
+        if (
+            due
+            or wanted != self._sent
+            or time.monotonic() - self._wall_sent_at >= MAX_SILENCE
+        ):
             heats = wanted != (0.0, 0.0)
-            self._driving = self._driving or heats  # it may heat though its answer is lost
+            # it may heat though its answer is lost
+            self._driving = self._driving or heats
             reading = self.link.drive(*wanted)
             self._sent = wanted
             self._sent_at = decision.time
@@ -111,7 +137,8 @@ class TCLabBridge(GatedNode):
     BOARD = "kit"
     LIMITS: ClassVar = GuardLimits(
         commands=(0.0, 100.0),
-        highest=85.0,  # 10 °C above the highest set-point; the kit itself tolerates 100 °C
+        # 10 °C above the highest set-point; the kit itself tolerates 100 °C
+        highest=85.0,
         lowest=-10.0,
         thing="heater",
         sensor="kit",
@@ -128,9 +155,23 @@ class TCLabBridge(GatedNode):
     PARAMETERS: ClassVar = (
         Setting("port", "", _PORT),
         Setting("plant", TCLab.name, _PLANT, choices=(TCLab.name, TCLabBoth.name)),
-        Setting("second", 0.0, "Power of heater 2 while heater 1 alone is driven.", "%", 0.0, 100.0),
+        Setting(
+            "second",
+            0.0,
+            "Power of heater 2 while heater 1 alone is driven.",
+            "%",
+            0.0,
+            100.0,
+        ),
         Setting("read_through", "", _READ_THROUGH),
-        Setting("repeat", 0.25, "Interval between two exchanges with the kit.", "s", 0.05, 0.5),
+        Setting(
+            "repeat",
+            0.25,
+            "Interval between two exchanges with the kit.",
+            "s",
+            0.05,
+            0.5,
+        ),
         Setting("deadline", 1.0, _DEADLINE, "s", 0.6, 60.0),
         Setting("frame_id", "kit", "Frame of plant/reading and plant/applied."),
         *gate_table(LIMITS),
@@ -144,7 +185,9 @@ class TCLabBridge(GatedNode):
         second = self.values["second"]
         both = self._plant is TCLabBoth
         if both and second:
-            raise ParameterError(f"{self.NAME}: second is {second:g} %, but plant tclab-both drives heater 2")
+            raise ParameterError(
+                f"{self.NAME}: second is {second:g} %, but plant tclab-both drives heater 2"
+            )
         self.gate.beside = () if both else (second,)
         if self.values["read_through"] and not both:
             raise ParameterError(
@@ -159,7 +202,11 @@ class TCLabBridge(GatedNode):
 
     def output_guards(self, limits: GuardLimits) -> list[OutputGuard]:
         """The guard of each drive."""
-        return super().output_guards(limits) if self._plant is TCLab else self.guards_of_both(limits)
+        return (
+            super().output_guards(limits)
+            if self._plant is TCLab
+            else self.guards_of_both(limits)
+        )
 
     @classmethod
     def guards_of_both(cls, limits: GuardLimits) -> list[OutputGuard]:
@@ -169,10 +216,15 @@ class TCLabBridge(GatedNode):
         """
         kit = cls.PLANT.model(cls.STRUCTURE).typical()
         budget = limits.budget
-        weaker = {name: getattr(budget, name) / SECOND for name in ("hold", "least", "each")}
+        weaker = {
+            name: getattr(budget, name) / SECOND for name in ("hold", "least", "each")
+        }
         first_power = kit["heating"]
         second_power = SECOND * kit["heating"]
-        common = replace(limits, runaway=replace(limits.runaway, gain_time=2.0 * limits.runaway.gain_time))
+        common = replace(
+            limits,
+            runaway=replace(limits.runaway, gain_time=2.0 * limits.runaway.gain_time),
+        )
         first_limits = replace(common, thing="first heater", sensor="first sensor")
         second_limits = replace(
             common,
@@ -190,18 +242,32 @@ class TCLabBridge(GatedNode):
 
     def open(self) -> None:
         """Subscribe, and connect to the kit."""
-        self.create_subscription(PlantCommand, "plant/command", self._on_command, qos_profile_sensor_data)
-        self._readings = self.create_publisher(PlantReading, "plant/reading", qos_profile_sensor_data)
+        self.create_subscription(
+            PlantCommand, "plant/command", self._on_command, qos_profile_sensor_data
+        )
+        self._readings = self.create_publisher(
+            PlantReading, "plant/reading", qos_profile_sensor_data
+        )
         self._applied = self.create_publisher(PlantApplied, "plant/applied", RELIABLE)
         inputs = ["plant/command", "plant/reading"]
         if self._stand_ins:
-            self.create_subscription(EstimatedReading, "plant/estimate", self._on_estimate, RELIABLE)
+            self.create_subscription(
+                EstimatedReading, "plant/estimate", self._on_estimate, RELIABLE
+            )
             inputs.append("plant/estimate")
-        driver = KitDriver(self._link, self.gate, self._tell, self.health, DriverPace(self.values["repeat"]))
+        driver = KitDriver(
+            self._link,
+            self.gate,
+            self._tell,
+            self.health,
+            DriverPace(self.values["repeat"]),
+        )
         self.drive(driver, *inputs)
 
     def _on_command(self, message: PlantCommand) -> None:
-        self.gate.command(message.input, message.index, nanoseconds(message.header.stamp))
+        self.gate.command(
+            message.input, message.index, nanoseconds(message.header.stamp)
+        )
 
     def _on_estimate(self, estimate: EstimatedReading) -> None:
         stand_in = self._stand_ins.get(estimate.signal)
@@ -216,7 +282,9 @@ class TCLabBridge(GatedNode):
         stand_in.accuse(self.gate.time)
         return True
 
-    def _on_clear(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_clear(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
         response = super()._on_clear(request, response)
         if response.success:  # somebody vouches for the readings
             for stand_in in self._stand_ins.values():
@@ -228,8 +296,15 @@ class TCLabBridge(GatedNode):
         for name, stand_in in self._stand_ins.items():
             if not verdict.fault:
                 stand_in.give_back()
-            elif stand_in.accused and verdict.fault_signal != name and verdict.fault in ACCUSED["drive"]:
-                self.end(FaultKind.TWIN, f"{name} is read through, and the twin reports {verdict.fault}")
+            elif (
+                stand_in.accused
+                and verdict.fault_signal != name
+                and verdict.fault in ACCUSED["drive"]
+            ):
+                self.end(
+                    FaultKind.TWIN,
+                    f"{name} is read through, and the twin reports {verdict.fault}",
+                )
 
     def _taken(self) -> Sequence[float]:
         """What the law takes in place of the temperatures, NaN for those that are believed; empty without
@@ -244,8 +319,15 @@ class TCLabBridge(GatedNode):
             values[name], trouble = stand_in.look(self.gate.time)
             if trouble:
                 self.end(FaultKind.ESTIMATE, trouble)
-        on = " and ".join(name for name, value in values.items() if not math.isnan(value))
-        self.health.flag_if(bool(on), "estimate", Level.WARN, f"the law runs on the twin's estimate of {on}")
+        on = " and ".join(
+            name for name, value in values.items() if not math.isnan(value)
+        )
+        self.health.flag_if(
+            bool(on),
+            "estimate",
+            Level.WARN,
+            f"the law runs on the twin's estimate of {on}",
+        )
         return list(values.values())
 
     def _tell(self, reading: KitReading | None, index: int) -> None:
@@ -262,7 +344,9 @@ class TCLabBridge(GatedNode):
             powers = reading[2:]
             self.gate.temperature(temperatures[:drives], stamp.nanoseconds)
             message = PlantReading(
-                output=temperatures[:drives], taken=self._taken(), disturbances=powers[drives:]
+                output=temperatures[:drives],
+                taken=self._taken(),
+                disturbances=powers[drives:],
             )
             message.header = applied.header
             self._readings.publish(message)

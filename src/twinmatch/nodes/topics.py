@@ -13,12 +13,20 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.sampling.channels import Channel, Field, Followed, SamplingError, check_path
+from twinmatch.sampling.channels import (
+    Channel,
+    Field,
+    Followed,
+    SamplingError,
+    check_path,
+)
 from twinmatch.sampling.listener import Receive
 from twinmatch.sessions import Qos
 from twinmatch.signals import NANOSECONDS
 
-EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+EVERYTHING = QoSProfile(
+    history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE
+)
 """For readers that must not miss a message. Their queue has no limit where the network is restricted to this
 machine; elsewhere that of the middleware applies, and a full queue makes the writer wait."""
 
@@ -26,7 +34,9 @@ DEPTH = 1000
 """Messages that a writer keeps for readers that are late, and queue of the recorder for each topic: at rate 0
 a twin publishes some hundred states a second, and a reader may have to wait for the processor."""
 
-RELIABLE = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+RELIABLE = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE
+)
 """For writers of samples, requests, matches and scores."""
 
 LATCHED = QoSProfile(
@@ -37,14 +47,18 @@ LATCHED = QoSProfile(
 )
 """For a value that holds until the next one: a late-joining subscriber gets it too."""
 
-NEWEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+NEWEST = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT
+)
 """For readings and /clock, of which only the newest message counts."""
 
 ELSEWHERE = ("/clock", "/diagnostics", "/parameter_events", "/rosout")
 """Topics that belong to no rig: recorded only on request."""
 
 
-def wanted(name: str, namespace: str, also: Collection[str] = (), leave_out: Sequence[str] = ()) -> bool:
+def wanted(
+    name: str, namespace: str, also: Collection[str] = (), leave_out: Sequence[str] = ()
+) -> bool:
     """Whether a topic is recorded: those of the namespace, unless hidden or left out, and `also` others.
 
     Args:
@@ -82,12 +96,18 @@ def profile_of(qos: Qos, depth: int = DEPTH) -> QoSProfile:
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        reliability=ReliabilityPolicy.RELIABLE
+        if reliable
+        else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL
+        if latched
+        else DurabilityPolicy.VOLATILE,
     )
 
 
-_KIND: Final = re.compile(r"(?:sequence<)?(?P<base>[\w/ ]+?)(?:<\d+>)?(?:\[(?P<length>\d+)\])?(?:, \d+)?>?$")
+_KIND: Final = re.compile(
+    r"(?:sequence<)?(?P<base>[\w/ ]+?)(?:<\d+>)?(?:\[(?P<length>\d+)\])?(?:, \d+)?>?$"
+)
 
 
 class MessageTypeError(TwinmatchError):
@@ -114,7 +134,10 @@ def fields_of(kind: str) -> Mapping[str, Field]:
     Raises:
         MessageTypeError: it is not installed.
     """
-    return {n: _field(text) for n, text in message_class(kind).get_fields_and_field_types().items()}
+    return {
+        n: _field(text)
+        for n, text in message_class(kind).get_fields_and_field_types().items()
+    }
 
 
 def _field(text: str) -> Field:
@@ -125,7 +148,11 @@ def _field(text: str) -> Field:
         package, name = base.split("/")
         base = f"{package}/msg/{name}"
     length = match["length"] if match else None
-    return Field(base, text.startswith("sequence") or length is not None, int(length) if length else None)
+    return Field(
+        base,
+        text.startswith("sequence") or length is not None,
+        int(length) if length else None,
+    )
 
 
 class Following:
@@ -156,7 +183,12 @@ class Following:
         return publishers
 
     def subscribe(
-        self, name: str, kind: str, publishers: Sequence[Any], take: Callable[[Any], None], **options: Any
+        self,
+        name: str,
+        kind: str,
+        publishers: Sequence[Any],
+        take: Callable[[Any], None],
+        **options: Any,
     ) -> Any:
         """The subscription with the QoS that all publishers offer, made unless it is there already.
 
@@ -170,7 +202,9 @@ class Following:
         sent = message_class(kind)
         if reader is not None:
             self._node.destroy_subscription(reader)
-        reader = self._node.create_subscription(sent, name, take, profile, **self._options, **options)
+        reader = self._node.create_subscription(
+            sent, name, take, profile, **self._options, **options
+        )
         self._readers[name] = profile, reader
         return reader
 
@@ -184,7 +218,12 @@ class ForeignTopics:
     """Topics of ROS as a source; it subscribes with a QoS that matches their publishers."""
 
     def __init__(
-        self, node: Node, channels: Iterable[Channel], receive: Receive, *, types: Mapping[str, str]
+        self,
+        node: Node,
+        channels: Iterable[Channel],
+        receive: Receive,
+        *,
+        types: Mapping[str, str],
     ) -> None:
         """Start without any found.
 
@@ -197,11 +236,15 @@ class ForeignTopics:
         self._node = node
         self._receive = receive
         self._followed: dict[Channel, Followed] = {}
-        self._types = {node.resolve_topic_name(topic): kind for topic, kind in types.items()}
+        self._types = {
+            node.resolve_topic_name(topic): kind for topic, kind in types.items()
+        }
         self._names = {c.topic: node.resolve_topic_name(c.topic) for c in channels}
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         # One each: a topic may be configured under two names, with a namespace and without.
-        self._following = {topic: Following(node, event_callbacks=quiet) for topic in self._names}
+        self._following = {
+            topic: Following(node, event_callbacks=quiet) for topic in self._names
+        }
         self.kinds: dict[str, str] = {}
         """Types of the topics found, by topic name as configured."""
 
@@ -244,7 +287,11 @@ class ForeignTopics:
         """What is wrong with a topic: that it has no publisher; empty if it has one."""
         if self._node.count_publishers(self._names[topic]):
             return ""
-        return f"{topic} no longer has a publisher" if topic in self.kinds else f"no publisher on {topic}"
+        return (
+            f"{topic} no longer has a publisher"
+            if topic in self.kinds
+            else f"no publisher on {topic}"
+        )
 
     def news(self) -> list[str]:
         """Nothing: what is wrong is an error or a trouble."""
@@ -256,7 +303,11 @@ class ForeignTopics:
 
     def _take(self, topic: str, message: Any) -> None:
         header = getattr(message, "header", None)
-        stamp = 0 if header is None else header.stamp.sec * NANOSECONDS + header.stamp.nanosec
+        stamp = (
+            0
+            if header is None
+            else header.stamp.sec * NANOSECONDS + header.stamp.nanosec
+        )
 
         def read(channel: Channel) -> float | None:
             return self._followed.setdefault(channel, Followed(channel)).number(message)
@@ -268,19 +319,31 @@ class ForeignTopics:
         foreign = [
             f"{name} ({', '.join(kinds)})"
             for name, kinds in sorted(self._node.get_topic_names_and_types())
-            if not name.startswith(_OURS) and name not in ELSEWHERE and self._node.count_publishers(name)
+            if not name.startswith(_OURS)
+            and name not in ELSEWHERE
+            and self._node.count_publishers(name)
         ]
-        count_of_further = f" and {len(foreign) - _MAX_LISTED} more" if len(foreign) > _MAX_LISTED else ""
+        count_of_further = (
+            f" and {len(foreign) - _MAX_LISTED} more"
+            if len(foreign) > _MAX_LISTED
+            else ""
+        )
         return (
             ", ".join(foreign[:_MAX_LISTED]) + count_of_further
             or "none, in this domain and from this machine"
         )
 
     def _subscribe(self, topic: str, name: str, publishers: Sequence[Any]) -> None:
-        kind = self._kind(topic, name, {publisher.topic_type for publisher in publishers})
-        of_kind = [publisher for publisher in publishers if publisher.topic_type == kind] or publishers
+        kind = self._kind(
+            topic, name, {publisher.topic_type for publisher in publishers}
+        )
+        of_kind = [
+            publisher for publisher in publishers if publisher.topic_type == kind
+        ] or publishers
         try:
-            self._following[topic].subscribe(name, kind, of_kind, partial(self._take, topic))
+            self._following[topic].subscribe(
+                name, kind, of_kind, partial(self._take, topic)
+            )
         except MessageTypeError as error:
             raise SamplingError(f"{topic}: {error}") from error
         self.kinds[topic] = kind

@@ -12,7 +12,13 @@ from twinmatch.parameters.candidates import candidates_in
 from twinmatch.plants.records import description_of
 from twinmatch.signals import Sample
 from twinmatch.twin import Door, Mirror, carry_out
-from twinmatch_msgs.msg import ForecastScore, Match, MatchRequest, PlantDescription, TwinState
+from twinmatch_msgs.msg import (
+    ForecastScore,
+    Match,
+    MatchRequest,
+    PlantDescription,
+    TwinState,
+)
 from twinmatch_msgs.srv import Past
 
 
@@ -39,9 +45,13 @@ class TwinSimulatorNode(SampleNode):
         self._states_made = 0
         self._published_before = 0  # states published before this node started
         self._publisher = self.create_publisher(TwinState, "twin/state", RELIABLE)
-        self._describer = self.create_publisher(PlantDescription, "plant/description", LATCHED)
+        self._describer = self.create_publisher(
+            PlantDescription, "plant/description", LATCHED
+        )
         self._describer.publish(
-            description_message(description_of(self.settings.plant), self.settings.period)
+            description_message(
+                description_of(self.settings.plant), self.settings.period
+            )
         )
         super().open()
         self.create_subscription(ForecastScore, "twin/leader", self.put, LATCHED)
@@ -93,7 +103,9 @@ class MatcherNode(TwinNode):
         self._lock = threading.Lock()
         self.health.say("waiting for requests")
         super().open()
-        self.create_subscription(MatchRequest, "twin/match_request", self._on_request, EVERYTHING)
+        self.create_subscription(
+            MatchRequest, "twin/match_request", self._on_request, EVERYTHING
+        )
 
     def work(self, received: tuple[twin.MatchRequest, int]) -> None:
         """Compute the match and publish it, with the stamp (ns) of its request."""
@@ -104,7 +116,9 @@ class MatcherNode(TwinNode):
             with self._lock:
                 self._in_progress.discard((request.sample, request.window.first))
         self.health.count("matches")
-        self.health.set("last match", f"{report.match.status.value} at sample {report.sample}")
+        self.health.set(
+            "last match", f"{report.match.status.value} at sample {report.sample}"
+        )
         self.publish(self._publisher, message_of(report, stamp))
 
     def _on_request(self, received: tuple[twin.MatchRequest, int]) -> None:

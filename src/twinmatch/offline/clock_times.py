@@ -9,7 +9,9 @@ from typing import Final
 from twinmatch.errors import TwinmatchError
 
 _AHEAD: Final = re.compile(r"\+(?P<seconds>\d+(?:\.\d*)?)")
-_OF_DAY: Final = re.compile(r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2}))?")
+_OF_DAY: Final = re.compile(
+    r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2}))?"
+)
 _DATED: Final = datetime(1990, 1, 1).timestamp()
 """Stamps before this are seconds since a recording began, not dates."""
 
@@ -30,7 +32,9 @@ def seconds_until(text: str, stamp: int) -> float:
         return float(ahead["seconds"])
     now = stamp * 1e-9
     if now < _DATED:
-        raise ClockTimeError(f"--by {text}: the samples have no date, only seconds; give +SECONDS")
+        raise ClockTimeError(
+            f"--by {text}: the samples have no date, only seconds; give +SECONDS"
+        )
     seconds = _moment(text.strip(), datetime.fromtimestamp(now)).timestamp() - now
     if seconds <= 0.0:
         raise ClockTimeError(f"--by {text}: is not after the sample; give a later time")
@@ -44,7 +48,10 @@ def _moment(text: str, now: datetime) -> datetime:
             return datetime.fromisoformat(text)
         hour = int(of_day["hour"])
         moment = now.replace(
-            hour=hour, minute=int(of_day["minute"]), second=int(of_day["second"] or 0), microsecond=0
+            hour=hour,
+            minute=int(of_day["minute"]),
+            second=int(of_day["second"] or 0),
+            microsecond=0,
         )
     except ValueError:
         raise ClockTimeError(
@@ -57,4 +64,6 @@ def _moment(text: str, now: datetime) -> datetime:
 def clock_words(stamp: int, seconds: float) -> str:
     """The time so many seconds after a stamp, ns, by this machine's clock; empty without a date."""
     moment = stamp * 1e-9 + seconds
-    return datetime.fromtimestamp(moment).strftime("%H:%M:%S") if moment >= _DATED else ""
+    return (
+        datetime.fromtimestamp(moment).strftime("%H:%M:%S") if moment >= _DATED else ""
+    )

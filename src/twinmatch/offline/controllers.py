@@ -10,7 +10,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from twinmatch.comparing import Candidate, TrustLevel, Verdict, statements_of
-from twinmatch.controllers import ControllerError, ExperimentTerms, Holding, TriedTwin, law_from, suited
+from twinmatch.controllers import (
+    ControllerError,
+    ExperimentTerms,
+    Holding,
+    TriedTwin,
+    law_from,
+    suited,
+)
 from twinmatch.dynamics import SKIPPED, Law, Plant, simulate_window
 from twinmatch.dynamics.pace import plant_scale, time_scale
 from twinmatch.errors import TwinmatchError
@@ -74,13 +81,17 @@ def read_law(path: Path, plant: type[Plant], period: float) -> Law:
         return law_from(parse_json(read_text(path), str(path)), plant, period)
     except TwinmatchError as error:
         names_file = str(error).startswith(str(path))
-        raise ControllerError(str(error) if names_file else f"{path}: {error}") from error
+        raise ControllerError(
+            str(error) if names_file else f"{path}: {error}"
+        ) from error
 
 
 def resting_point(path: Path) -> FloatArray | None:
     """The outputs y0 around which the regulator in a document was made, shape (o,); None without them."""
     try:
-        return np.array(parse_json(read_text(path), str(path))["y0"], dtype=np.float64).ravel()
+        return np.array(
+            parse_json(read_text(path), str(path))["y0"], dtype=np.float64
+        ).ravel()
     except (ValueError, LookupError, TypeError):
         return None
 
@@ -128,7 +139,9 @@ class Ground(NamedTuple):
         return [
             sample
             for sample in self.session.samples
-            if not any(part.first <= sample.index <= part.last for part in self.left_out)
+            if not any(
+                part.first <= sample.index <= part.last for part in self.left_out
+            )
         ]
 
     @property
@@ -138,7 +151,9 @@ class Ground(NamedTuple):
             settings = self.terms.settings
             return Holding(settings.law, settings.period, settings.schedule.span)
         period = self.session.period
-        return Holding(None, period, round(HOLD * plant_scale(self.plant, period) / period))
+        return Holding(
+            None, period, round(HOLD * plant_scale(self.plant, period) / period)
+        )
 
     @property
     def level(self) -> FloatArray:
@@ -193,7 +208,9 @@ class Ground(NamedTuple):
         return tuple(notes)
 
 
-def ground_of(session: Session, config: Path | None = None, candidates: Path | None = None) -> Ground:
+def ground_of(
+    session: Session, config: Path | None = None, candidates: Path | None = None
+) -> Ground:
     """A session with the terms on which it is judged, if its plant has one loop.
 
     Raises:
@@ -208,7 +225,9 @@ def ground_of(session: Session, config: Path | None = None, candidates: Path | N
             "controllers are tried on plants with as many inputs as outputs"
         )
     settings = terms_from_files(session, config, candidates).settings
-    return Ground(session, plant, None, settings.law, _faults_of_sensors(session, settings))
+    return Ground(
+        session, plant, None, settings.law, _faults_of_sensors(session, settings)
+    )
 
 
 def _faults_of_sensors(session: Session, settings: TwinSettings) -> tuple[LeftOut, ...]:
@@ -217,7 +236,8 @@ def _faults_of_sensors(session: Session, settings: TwinSettings) -> tuple[LeftOu
     alarms: dict[int, ChannelAlarm] = {}
     for sample in session.samples:
         monitor.push(sample)
-        for alarm in monitor.alarms:  # few are kept; one that has ended replaces what was known of it
+        for alarm in monitor.alarms:
+            # few are kept; one that has ended replaces what was known of it
             alarms[alarm.flagged] = alarm
     parts = []
     for alarm in alarms.values():
@@ -228,7 +248,9 @@ def _faults_of_sensors(session: Session, settings: TwinSettings) -> tuple[LeftOu
     return tuple(parts)
 
 
-def members_from(ground: Ground, *, watch: Watch | None = None) -> tuple[TriedTwin, ...]:
+def members_from(
+    ground: Ground, *, watch: Watch | None = None
+) -> tuple[TriedTwin, ...]:
     """The twins that a session leaves: at its end those of its verdicts, or fits of its windows.
 
     Raises:
@@ -262,7 +284,11 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
             f"session {session.name}: no stretch of {FITS.shortest} samples is left to fit twins to"
             f"{reasons and f' ({reasons})'}; record more samples"
         )
-    models = [plant.model(name) for name, structure in plant.structures.items() if structure.watched]
+    models = [
+        plant.model(name)
+        for name, structure in plant.structures.items()
+        if structure.watched
+    ]
     fits = [fit_session(model, whole) for model in models]
     best = min(fits, key=lambda fit: fit.charge)
     if not best.fit[0] >= FITS.least_fit:
@@ -270,20 +296,30 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
             f"session {session.name}: {best.model.title} explains only {100 * max(best.fit[0], 0.0):.0f} % "
             "of its movement, so it cannot say what a controller would do; record steps of every input"
         )
-    supported = [fit.model for fit in fits if fit.charge <= best.charge + FITS.most_charge]
+    supported = [
+        fit.model for fit in fits if fit.charge <= best.charge + FITS.most_charge
+    ]
     samples = FITS.window * HOLD  # in a part, if the plant has no time constant
-    parts = [part for stretch in whole for part in in_parts(plant, stretch, FITS.window, otherwise=samples)]
+    parts = [
+        part
+        for stretch in whole
+        for part in in_parts(plant, stretch, FITS.window, otherwise=samples)
+    ]
     windows = [part for part in parts if len(part) >= FITS.shortest]
     members = []
     total = len(windows) * len(supported)
-    for k, (model, window) in enumerate((model, window) for model in supported for window in windows):
+    for k, (model, window) in enumerate(
+        (model, window) for model in supported for window in windows
+    ):
         fit = fit_session(model, window)
         if watch is not None:
             watch(k + 1, total)
         if fit.converged:
             free = model.structure.free
             name = f"{model.structure_name}, {window.first} to {window.last}"
-            members.append(ground.seen_by(TriedTwin(name, fit.parameters, free, fit.covariance)))
+            members.append(
+                ground.seen_by(TriedTwin(name, fit.parameters, free, fit.covariance))
+            )
     return tuple(members)
 
 
@@ -301,18 +337,34 @@ def remembered(
     name = ground.plant.name
     digest_apart = "" if apart is None else digest_of(apart.samples)
     candidates = start_from(
-        [lesson for lesson in memory.lessons(name, rig) if lesson.session != digest_apart], ground.plant
+        [
+            lesson
+            for lesson in memory.lessons(name, rig)
+            if lesson.session != digest_apart
+        ],
+        ground.plant,
     )
     if not candidates and apart is None and not memory.comparisons(name, rig):
-        raise ControllerError(f"{path}: remembers nothing of plant {ground.plant.name}; leave --memory out")
-    return tuple(ground.seen_by(_tried_from_memory(candidate)) for candidate in candidates)
+        raise ControllerError(
+            f"{path}: remembers nothing of plant {ground.plant.name}; leave --memory out"
+        )
+    return tuple(
+        ground.seen_by(_tried_from_memory(candidate)) for candidate in candidates
+    )
 
 
 def _tried_from_memory(candidate: Candidate) -> TriedTwin:
     """A candidate from a memory as a twin to be tried; only the centre of all sessions has a spread."""
     if candidate.name.startswith(CENTRE):
-        return TriedTwin(candidate.name, candidate.parameters, candidate.free, candidate.known_covariance)
-    return TriedTwin(f"{CENTRE}: {candidate.name}", candidate.parameters, candidate.free, None)
+        return TriedTwin(
+            candidate.name,
+            candidate.parameters,
+            candidate.free,
+            candidate.known_covariance,
+        )
+    return TriedTwin(
+        f"{CENTRE}: {candidate.name}", candidate.parameters, candidate.free, None
+    )
 
 
 def _require_trusted(ground: Ground, verdict: Verdict | None) -> None:
@@ -327,8 +379,12 @@ def _require_trusted(ground: Ground, verdict: Verdict | None) -> None:
             f"session {name}: its twin ends fault ({reason}), so it cannot say what a controller would do; "
             "record it again once the plant is sound"
         )
-    inseparable = inseparable_in(stretches(ground.session.samples, ground.session.period), ground.plant)
-    raise NotTrustedError(name, level, reason if inseparable is None else inseparable.sentence)
+    inseparable = inseparable_in(
+        stretches(ground.session.samples, ground.session.period), ground.plant
+    )
+    raise NotTrustedError(
+        name, level, reason if inseparable is None else inseparable.sentence
+    )
 
 
 def experiment_terms(
@@ -343,7 +399,9 @@ def experiment_terms(
     holding = ground.holding
     if ground.loops is not None:
         holding = replace(holding, law=ground.loops)
-    return ExperimentTerms.of(ground.plant, holding, ground.level, size=size, within=within)
+    return ExperimentTerms.of(
+        ground.plant, holding, ground.level, size=size, within=within
+    )
 
 
 def usual_profile(plant: type[Plant], level: FloatArray, samples: int) -> FloatArray:
@@ -373,7 +431,11 @@ def recorded_profile(session: Session) -> FloatArray:
 
 
 def planned_profile(
-    plant: type[Plant], level: FloatArray, rows: Sequence[Sequence[Any]], period: float, samples: int
+    plant: type[Plant],
+    level: FloatArray,
+    rows: Sequence[Sequence[Any]],
+    period: float,
+    samples: int,
 ) -> FloatArray:
     """Set-points of rows of seconds and a level for each output, from these levels on, shape (N, r); the last
     row is held for `samples`.
@@ -384,7 +446,9 @@ def planned_profile(
     columns = []
     for j, (name, output) in enumerate(plant.outputs.items()):
         try:
-            plan = SetPoints.planned([(row[0], row[j + 1]) for row in rows], float(level[j]), signal=output)
+            plan = SetPoints.planned(
+                [(row[0], row[j + 1]) for row in rows], float(level[j]), signal=output
+            )
         except IndexError:
             raise ControllerError(
                 f"profile: a row has no level for {name}; give seconds, then {', '.join(plant.outputs)}"
@@ -401,7 +465,11 @@ def planned_profile(
 
 
 def stepped_profile(
-    plant: type[Plant], level: FloatArray, steps: Sequence[str], period: float, samples: int
+    plant: type[Plant],
+    level: FloatArray,
+    steps: Sequence[str],
+    period: float,
+    samples: int,
 ) -> FloatArray:
     """Set-points of steps written NAME=LEVEL@S, from these levels on, shape (N, r); as `planned_profile`.
 
@@ -413,7 +481,9 @@ def stepped_profile(
         name, _, level_and_time = text.partition("=")
         value, _, time_text = level_and_time.partition("@")
         try:
-            rows.append((float(time_text or 0.0), list(plant.outputs).index(name), float(value)))
+            rows.append(
+                (float(time_text or 0.0), list(plant.outputs).index(name), float(value))
+            )
         except ValueError:
             names = ", ".join(plant.outputs)
             raise ControllerError(

@@ -35,7 +35,9 @@ class EstimatedCourse:
 
     def line(self, period: float) -> str:
         """When it was read through, what it should read in the end, and for how long that was good."""
-        long = "at least an hour" if self.good >= HOUR else f"{self.good / 60.0:.2g} min"
+        long = (
+            "at least an hour" if self.good >= HOUR else f"{self.good / 60.0:.2g} min"
+        )
         return (
             f"the twin reads through {self.text} from {self.first * period:g} to {self.last * period:g} s: "
             f"at the end it should read {self.values[-1]:.1f} ± {self.bands[-1]:.1f} {self.unit}, not "
@@ -43,14 +45,21 @@ class EstimatedCourse:
         )
 
 
-def courses_of(estimates: Iterable[EstimatedReading], plant: type[Plant]) -> tuple[EstimatedCourse, ...]:
+def courses_of(
+    estimates: Iterable[EstimatedReading], plant: type[Plant]
+) -> tuple[EstimatedCourse, ...]:
     """The estimates in courses, one for each time that a sensor was not believed, in order of beginning."""
     courses: dict[tuple[str, int], EstimatedCourse] = {}
     for estimate in estimates:
         declared = plant.outputs[estimate.signal]
         text = declared.text or estimate.signal
         new_course = EstimatedCourse(
-            estimate.signal, text, declared.unit, estimate.since, estimate.wide, estimate.good
+            estimate.signal,
+            text,
+            declared.unit,
+            estimate.since,
+            estimate.wide,
+            estimate.good,
         )
         course = courses.setdefault((estimate.signal, estimate.since), new_course)
         course.values.append(estimate.value)

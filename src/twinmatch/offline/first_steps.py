@@ -69,7 +69,9 @@ class FirstSteps:
 
 
 def course_from_file(
-    plant: type[Plant], period: float | None = None, within: Sequence[float] | None = None
+    plant: type[Plant],
+    period: float | None = None,
+    within: Sequence[float] | None = None,
 ) -> tuple[FirstCourse, float]:
     """The first course of a plant of which nothing is recorded, and the sample time that it is made for, s.
 
@@ -86,7 +88,9 @@ def course_from_file(
     return first_course(draws, before, shape, sampling, within), sampling
 
 
-def first_steps(ground: Ground, reason: str, within: Sequence[float] | None = None) -> FirstSteps:
+def first_steps(
+    ground: Ground, reason: str, within: Sequence[float] | None = None
+) -> FirstSteps:
     """What to record after a recording whose twin is not trusted, for this `reason`, and a first PID.
 
     Raises:
@@ -94,26 +98,33 @@ def first_steps(ground: Ground, reason: str, within: Sequence[float] | None = No
     """
     plant = ground.plant
     _require_single(plant)
-    assert ground.terms is not None  # noqa: S101 — a single loop has them
+    assert ground.terms is not None  # noqa: S101
     settings = ground.terms.settings
     windows = stretches(ground.session.samples, ground.session.period)
     twins = _loose_twins(ground)
     draws: list[Parameters] = []
     for number, twin in enumerate(twins):
         drawn = twin.drawn(max(_NUMBER // len(twins), 1), number)
-        draws += [draw for draw in drawn if _is_within_bounds(draw, twin.free)] or [twin.parameters]
+        draws += [draw for draw in drawn if _is_within_bounds(draw, twin.free)] or [
+            twin.parameters
+        ]
     before = float(ground.session.samples[0].output)
     kept = _near_readings(ground) if within is None else within
     shape = _shape_after_log(settings, _response_time(ground, twins))
     course = first_course(draws, before, shape, settings.period, kept)
     pid, why_no_pid = pid_or_reason(ground, twins)
-    return FirstSteps(reason, inseparable_in(windows, plant), twins, course, pid, why_no_pid)
+    return FirstSteps(
+        reason, inseparable_in(windows, plant), twins, course, pid, why_no_pid
+    )
 
 
 def _is_within_bounds(draw: Parameters, free: Sequence[str]) -> bool:
     """Whether the free parameters are within the bounds of the plant file."""
     declared = draw.model.declared
-    return all(declared[name].bounds[0] <= draw[name] <= declared[name].bounds[1] for name in free)
+    return all(
+        declared[name].bounds[0] <= draw[name] <= declared[name].bounds[1]
+        for name in free
+    )
 
 
 def _near_readings(ground: Ground) -> tuple[float, float]:
@@ -123,7 +134,9 @@ def _near_readings(ground: Ground) -> tuple[float, float]:
     return min(outputs) - beyond, max(outputs) + beyond
 
 
-def pid_or_reason(ground: Ground, twins: Sequence[TriedTwin]) -> tuple[ProposedPid | None, str]:
+def pid_or_reason(
+    ground: Ground, twins: Sequence[TriedTwin]
+) -> tuple[ProposedPid | None, str]:
     """A first PID that is safe on all twins and their draws; without one why."""
     level = _middle(ground)
     low, high = counted_range(ground.plant.output)
@@ -148,12 +161,19 @@ def pid_or_reason(ground: Ground, twins: Sequence[TriedTwin]) -> tuple[ProposedP
 
 
 def _tried(
-    pid: FirstPid, twins: Sequence[TriedTwin], level: float, holding: Holding, plant: type[Plant]
+    pid: FirstPid,
+    twins: Sequence[TriedTwin],
+    level: float,
+    holding: Holding,
+    plant: type[Plant],
 ) -> ControllerAnswer:
     levels = np.array([level])
     references = usual_profile(plant, levels, holding.samples)
-    rested = [replace(twin, states=None, inputs=None) for twin in twins]  # courses begin where it is held
-    return try_controller(rested, ControllerQuestion(pid.gains, references, levels, holding, draws=100))
+    # courses begin where it is held
+    rested = [replace(twin, states=None, inputs=None) for twin in twins]
+    return try_controller(
+        rested, ControllerQuestion(pid.gains, references, levels, holding, draws=100)
+    )
 
 
 def _require_single(plant: type[Plant]) -> None:
@@ -178,18 +198,29 @@ def _resting_output(parameters: Parameters, period: float) -> float:
     low, high = model.plant.output.span
     samples = round(_SETTLED * 100.0 * plant_scale(model.plant, period) / period)
     states = begin(parameters, 0.5 * (low + high))
-    run = simulate_driven(parameters, np.tile(model.rest, (samples, 1)), states=states, period=period)
+    run = simulate_driven(
+        parameters, np.tile(model.rest, (samples, 1)), states=states, period=period
+    )
     return float(run.output[-1])
 
 
-def _shape_after_log(settings: TwinSettings, response_time: float) -> tuple[tuple[float, float], ...]:
+def _shape_after_log(
+    settings: TwinSettings, response_time: float
+) -> tuple[tuple[float, float], ...]:
     """A rest and a step, what a twin is matched to; then four other levels, on which its forecasts are
     tested. Steps are held for as long as a window, and until the plant has answered."""
     schedule = settings.schedule
     rest = (schedule.min_span + schedule.lead) * settings.period
     hold = max(schedule.span * settings.period, _ANSWERED * response_time)
     later = _LATER_HOLD * hold
-    return ((0.0, rest), (1.0, hold), (0.2, later), (0.6, later), (0.35, later), (0.8, later))
+    return (
+        (0.0, rest),
+        (1.0, hold),
+        (0.2, later),
+        (0.6, later),
+        (0.35, later),
+        (0.8, later),
+    )
 
 
 def _response_time(ground: Ground, twins: Sequence[TriedTwin]) -> float:
@@ -198,7 +229,9 @@ def _response_time(ground: Ground, twins: Sequence[TriedTwin]) -> float:
     times = [0.0]
     for twin in twins:
         try:
-            plant = reduced(holding.linear(twin.parameters, [_middle(ground)], twin.disturbances))
+            plant = reduced(
+                holding.linear(twin.parameters, [_middle(ground)], twin.disturbances)
+            )
         except TwinmatchError:
             continue
         times.append(plant.lag + plant.dead_time)
@@ -233,6 +266,12 @@ def _loose_twins(ground: Ground) -> tuple[TriedTwin, ...]:
     for fit in fits:
         if fit.charge <= least + FITS.most_charge:
             free = fit.model.structure.free
-            twin = TriedTwin(fit.model.structure_name, fit.parameters, free, fit.covariance, disturbances=row)
+            twin = TriedTwin(
+                fit.model.structure_name,
+                fit.parameters,
+                free,
+                fit.covariance,
+                disturbances=row,
+            )
             twins.append(ground.seen_by(twin))
     return tuple(twins)

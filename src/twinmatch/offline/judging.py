@@ -13,7 +13,14 @@ import numpy as np
 
 from twinmatch import __version__
 from twinmatch.comparing import Candidate, Verdict
-from twinmatch.dynamics import SKIPPED, Plant, Sensor, begin, commands_of, simulate_closed_loop
+from twinmatch.dynamics import (
+    SKIPPED,
+    Plant,
+    Sensor,
+    begin,
+    commands_of,
+    simulate_closed_loop,
+)
 from twinmatch.dynamics.store import cache_folder
 from twinmatch.errors import TwinmatchError
 from twinmatch.health import EstimatedReading
@@ -21,7 +28,13 @@ from twinmatch.offline.estimates import EstimatedCourse, courses_of
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.offline.summary import SessionSummary, summarise
 from twinmatch.parameters.candidates import parse_candidates, read_candidates
-from twinmatch.parameters.twin import at_period, outputs_named, read_settings, recorded_values, settings_from
+from twinmatch.parameters.twin import (
+    at_period,
+    outputs_named,
+    read_settings,
+    recorded_values,
+    settings_from,
+)
 from twinmatch.sessions import Session, samples_of
 from twinmatch.sessions.cdr import decoded
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
@@ -52,18 +65,33 @@ def prefix_of(session: Session) -> str:
     return session.topic.removesuffix(SAMPLE)
 
 
-def terms_from_files(session: Session, config: Path | None = None, candidates: Path | None = None) -> Terms:
+def terms_from_files(
+    session: Session, config: Path | None = None, candidates: Path | None = None
+) -> Terms:
     """Parameters and candidates of files; without files the defaults and no candidates."""
     source = f"the file {config.name}" if config else "the defaults of this version"
-    settings_of_file = read_settings(config, session.plant, driven=not session.has_reference)
+    settings_of_file = read_settings(
+        config, session.plant, driven=not session.has_reference
+    )
     settings = at_period(settings_of_file, session.period, config)
-    if config is None and not settings.plant.single and not _law_gives_inputs(settings, session):
-        settings = at_period(read_settings(None, session.plant, driven=True), session.period, None)
+    if (
+        config is None
+        and not settings.plant.single
+        and not _law_gives_inputs(settings, session)
+    ):
+        settings = at_period(
+            read_settings(None, session.plant, driven=True), session.period, None
+        )
         source += ", driven by the recorded inputs, which are not those of the loop in the plant file"
     settings = replace(
-        settings, read_through=settings.read_through or _recorded_read_through(session, settings)
+        settings,
+        read_through=settings.read_through or _recorded_read_through(session, settings),
     )
-    return Terms(settings, tuple(read_candidates(candidates)) if candidates else (), source=source)
+    return Terms(
+        settings,
+        tuple(read_candidates(candidates)) if candidates else (),
+        source=source,
+    )
 
 
 def _recorded_read_through(session: Session, settings: TwinSettings) -> tuple[str, ...]:
@@ -72,7 +100,9 @@ def _recorded_read_through(session: Session, settings: TwinSettings) -> tuple[st
     That is a fact of the plant that ran, which no file can choose otherwise: samples of a law that ran on an
     estimate are not matched.
     """
-    recorded = parameters_of(session.records, f"{prefix_of(session)}discriminator") or {}
+    recorded = (
+        parameters_of(session.records, f"{prefix_of(session)}discriminator") or {}
+    )
     names = str(recorded.get("read_through", ""))
     return outputs_named(f"session {session.name}", names, settings.plant)
 
@@ -86,7 +116,9 @@ def _law_gives_inputs(settings: TwinSettings, session: Session) -> bool:
     samples, *_ = stretches(session.samples, session.period)
     if law is None or len(samples) <= _LAW_CHECK.begin:
         return True
-    window = samples.part(samples.first, samples.first + min(len(samples), _LAW_CHECK.compared) - 1)
+    window = samples.part(
+        samples.first, samples.first + min(len(samples), _LAW_CHECK.compared) - 1
+    )
     state = law.state(window.part(window.first, window.first + _LAW_CHECK.begin - 1))
     errors = []
     for k in range(SKIPPED, len(window)):
@@ -100,7 +132,9 @@ def _law_gives_inputs(settings: TwinSettings, session: Session) -> bool:
     return bool((rms(np.array(errors).T) <= noise).all())
 
 
-def recorded_terms(session: Session, config: Path | None = None, candidates: Path | None = None) -> Terms:
+def recorded_terms(
+    session: Session, config: Path | None = None, candidates: Path | None = None
+) -> Terms:
     """Parameters and candidates recorded with the session; files override them."""
     if config is not None:
         return terms_from_files(session, config, candidates)
@@ -108,9 +142,13 @@ def recorded_terms(session: Session, config: Path | None = None, candidates: Pat
     matching, _ = _recorded_settings(session, f"{prefix}matcher")
     settings, candidates_file = _recorded_settings(session, f"{prefix}discriminator")
     initial_candidates = (
-        tuple(read_candidates(candidates)) if candidates else _recorded_candidates(session, candidates_file)
+        tuple(read_candidates(candidates))
+        if candidates
+        else _recorded_candidates(session, candidates_file)
     )
-    return Terms(settings, initial_candidates, matching, "those recorded with the session")
+    return Terms(
+        settings, initial_candidates, matching, "those recorded with the session"
+    )
 
 
 def _recorded_settings(session: Session, node: str) -> tuple[TwinSettings, str]:
@@ -126,7 +164,9 @@ def _recorded_settings(session: Session, node: str) -> tuple[TwinSettings, str]:
         values = recorded_values(f"{place}: {node}", recorded)
         return settings_from(values), str(values["candidates"])
     except TwinmatchError as error:
-        raise TermsError(f"{place}: the recorded parameters of {node} cannot be used: {error}") from error
+        raise TermsError(
+            f"{place}: the recorded parameters of {node} cannot be used: {error}"
+        ) from error
 
 
 def _recorded_candidates(session: Session, path: str) -> tuple[Candidate, ...]:
@@ -210,7 +250,10 @@ def _trials(session: Session) -> dict[int, float]:
     name = f"{prefix_of(session)}plant/law"
     reports = map(decoded, session.messages([name]) if name in session.counts else ())
     driving = [report for report in reports if report.first]
-    return {report.first: report.sample if report.phase_name == "back" else math.inf for report in driving}
+    return {
+        report.first: report.sample if report.phase_name == "back" else math.inf
+        for report in driving
+    }
 
 
 def judge_samples(
@@ -256,7 +299,15 @@ def judge_samples(
     stamps = {sample.index: sample.stamp for sample in settled}
     courses = courses_of(estimates, settings.plant)
     return Judgement(
-        name, samples, settings, tuple(matches), tuple(verdicts), summary, without_gaps, stamps, courses
+        name,
+        samples,
+        settings,
+        tuple(matches),
+        tuple(verdicts),
+        summary,
+        without_gaps,
+        stamps,
+        courses,
     )
 
 
@@ -266,7 +317,9 @@ HOLD = 240
 """Samples for which each of them is held."""
 
 
-def rehearse(plant: type[Plant], settings: TwinSettings, watch: Callable[[int, int], None]) -> None:
+def rehearse(
+    plant: type[Plant], settings: TwinSettings, watch: Callable[[int, int], None]
+) -> None:
     """Judge a simulated run, unless this version has done so on this machine; the verdicts are discarded.
 
     Compiled code is kept, so this takes a minute or two the first time. Without it that time would pass while
@@ -283,7 +336,9 @@ def rehearse(plant: type[Plant], settings: TwinSettings, watch: Callable[[int, i
         reference,
         states=begin(parameters, float(reference[0])),
         law=settings.law,
-        sensor=Sensor(noise=plant.output.noise).realise(reference.size, settings.period, seed=1),
+        sensor=Sensor(noise=plant.output.noise).realise(
+            reference.size, settings.period, seed=1
+        ),
     )
     window = Window(reference, response.output, response.input, period=settings.period)
     judge_samples("rehearsal", samples_of(window), settings, watch=watch)

@@ -76,7 +76,9 @@ def prospects(
         ForecastError: the session has no such sample, or the candidate does not exist at it.
     """
     wanted = samples_at(session, indices)
-    places = [place for place, sample in enumerate(session.samples) if sample.index in wanted]
+    places = [
+        place for place, sample in enumerate(session.samples) if sample.index in wanted
+    ]
     if not places:
         return {}
     first = places[0]
@@ -87,7 +89,13 @@ def prospects(
         middle = (begin + first) // 2
         places_to_run = range(begin, ends)
         prospect_of = _run(
-            session, terms, places_to_run, wanted, middle=middle, candidate=candidate, watch=watch
+            session,
+            terms,
+            places_to_run,
+            wanted,
+            middle=middle,
+            candidate=candidate,
+            watch=watch,
         )
         if prospect_of is not None:
             return prospect_of
@@ -119,7 +127,10 @@ def _run(
             sample = samples[place]
             settled += twin.push(sample).settled
             forecaster = twin.discriminator.forecaster
-            has_wanted_one = bool(forecaster.names) and candidate in {None, *forecaster.names}
+            has_wanted_one = bool(forecaster.names) and candidate in {
+                None,
+                *forecaster.names,
+            }
             if may_begin_earlier and place == middle and not forecaster.names:
                 return None
             if sample.index in wanted:
@@ -127,13 +138,20 @@ def _run(
                     return None
                 if not forecaster.names:
                     raise _no_candidate(session.name, twin, samples[place:])
-                prospect_of[sample.index] = _prospect(forecaster, sample.index, candidate, since)
+                prospect_of[sample.index] = _prospect(
+                    forecaster, sample.index, candidate, since
+                )
             if watch is not None and (place - begin) % EVERY == 0:
                 watch(place - begin, ends - begin)
             check_interrupt()
     settled += twin.discriminator.settle_rest(samples[ends:])
-    without_gaps = stretches([sample for sample in settled if sample.usable], terms.settings.period)
-    return {index: prospect._replace(stretches=without_gaps) for index, prospect in prospect_of.items()}
+    without_gaps = stretches(
+        [sample for sample in settled if sample.usable], terms.settings.period
+    )
+    return {
+        index: prospect._replace(stretches=without_gaps)
+        for index, prospect in prospect_of.items()
+    }
 
 
 def samples_at(session: Session, indices: Collection[int]) -> dict[int, Sample]:
@@ -143,7 +161,9 @@ def samples_at(session: Session, indices: Collection[int]) -> dict[int, Sample]:
         ForecastError: the session does not have one of them.
     """
     wanted = set(indices)
-    by_index = {sample.index: sample for sample in session.samples if sample.index in wanted}
+    by_index = {
+        sample.index: sample for sample in session.samples if sample.index in wanted
+    }
     absent = sorted(wanted - by_index.keys())
     if absent:
         first = session.samples[0].index
@@ -156,13 +176,17 @@ def samples_at(session: Session, indices: Collection[int]) -> dict[int, Sample]:
     return by_index
 
 
-def _prospect(forecaster: Forecaster, sample: int, candidate: str | None, since: int | None) -> Prospect:
+def _prospect(
+    forecaster: Forecaster, sample: int, candidate: str | None, since: int | None
+) -> Prospect:
     leader = forecaster.leader
-    assert leader is not None  # noqa: S101 — there are candidates
+    assert leader is not None  # noqa: S101
     name = leader if candidate is None else candidate
     if name not in forecaster.names:
         names = "; ".join(forecaster.names)
-        raise ForecastError(f"sample {sample}: there is no candidate {name!r}; there are: {names}")
+        raise ForecastError(
+            f"sample {sample}: there is no candidate {name!r}; there are: {names}"
+        )
     outlook = forecaster.outlook(name)
     if not forecaster.forecasts_of(name):
         note = (
@@ -176,13 +200,17 @@ def _prospect(forecaster: Forecaster, sample: int, candidate: str | None, since:
     return Prospect(outlook, leader, forecaster.confidence, since)
 
 
-def _no_candidate(session: str, twin: Twin, remaining: Sequence[Sample]) -> ForecastError:
+def _no_candidate(
+    session: str, twin: Twin, remaining: Sequence[Sample]
+) -> ForecastError:
     """The error for a sample without candidates, with the first sample that has one."""
     absent = f"session {session}: there is no candidate at sample {remaining[0].index}"
     for sample in remaining[1:]:
         twin.push(sample)
         if twin.discriminator.forecaster.names:
-            return ForecastError(f"{absent}; there is one from sample {sample.index} on")
+            return ForecastError(
+                f"{absent}; there is one from sample {sample.index} on"
+            )
     needed = "record set-point steps far above the noise, some minutes apart,"
     if twin.settings.law is None:
         needed = "move the input far above its noise, for some minutes in total,"
@@ -241,7 +269,9 @@ def planned_ahead(
     """
     closed = settings.law is not None
     plant = settings.plant
-    signals: list[Output | Drive] = [*(plant.outputs if closed else plant.drives).values()]
+    signals: list[Output | Drive] = [
+        *(plant.outputs if closed else plant.drives).values()
+    ]
     standing = sample.references if closed else sample.inputs
     kind = _kind_ahead(settings)
     if rows is not None and reference is not None:
@@ -251,7 +281,12 @@ def planned_ahead(
                 f"--hold once for each of them, or --reference {RECORDED}"
             )
         words = f"{kind}s of {Path(reference).name}"
-        profiles = [_checked(reference, lambda: SetPoints.planned(rows, standing[0], signal=signals[0]))]
+        profiles = [
+            _checked(
+                reference,
+                lambda: SetPoints.planned(rows, standing[0], signal=signals[0]),
+            )
+        ]
     elif hold:
         if len(hold) != len(standing):
             raise ForecastError(
@@ -260,13 +295,19 @@ def planned_ahead(
         words = f"{_levels_text(hold, signals)} held"
         profiles = []
         for level, signal in zip(hold, signals, strict=False):
-            profiles.append(_checked("--hold", partial(SetPoints.constant, level, signal)))
+            profiles.append(
+                _checked("--hold", partial(SetPoints.constant, level, signal))
+            )
     else:
         several = "s" if len(standing) > 1 else ""
         words = f"its {kind}{several} of {_levels_text(standing, signals)} held"
-        profiles = [_checked("--hold", partial(SetPoints.constant, level)) for level in standing]
+        profiles = [
+            _checked("--hold", partial(SetPoints.constant, level)) for level in standing
+        ]
     notes = [note for profile in profiles for note in profile.notes]
-    return Ahead(_beside_each_other(profiles, settings.period, size), words, tuple(notes))
+    return Ahead(
+        _beside_each_other(profiles, settings.period, size), words, tuple(notes)
+    )
 
 
 def _checked(place: str, make: Callable[[], SetPoints]) -> SetPoints:
@@ -279,18 +320,27 @@ def _checked(place: str, make: Callable[[], SetPoints]) -> SetPoints:
 
 def _levels_text(levels: Sequence[float], signals: Sequence[Output | Drive]) -> str:
     """Levels with their units."""
-    texts = [f"{level:g} {signal.unit}".rstrip() for level, signal in zip(levels, signals, strict=False)]
+    texts = [
+        f"{level:g} {signal.unit}".rstrip()
+        for level, signal in zip(levels, signals, strict=False)
+    ]
     return ", ".join(texts)
 
 
-def _beside_each_other(profiles: Sequence[SetPoints], period: float, size: int) -> FloatArray:
+def _beside_each_other(
+    profiles: Sequence[SetPoints], period: float, size: int
+) -> FloatArray:
     """The next samples of some profiles, shape (size, profiles); of a single one shape (size,)."""
     columns = [profile.ahead(period, size) for profile in profiles]
     return columns[0] if len(columns) == 1 else np.column_stack(columns)
 
 
 def recorded_ahead(
-    session: Session, sample: Sample, size: int, settled: Sequence[Window], settings: TwinSettings
+    session: Session,
+    sample: Sample,
+    size: int,
+    settled: Sequence[Window],
+    settings: TwinSettings,
 ) -> Ahead:
     """The set-points, or inputs, recorded for the `size` samples after this one, or for as many as there are.
 
@@ -302,37 +352,56 @@ def recorded_ahead(
     period = settings.period
     closed = settings.law is not None
     kind = _kind_ahead(settings)
-    stretch = next((part for part in settled if part.first <= sample.index <= part.last), None)
+    stretch = next(
+        (part for part in settled if part.first <= sample.index <= part.last), None
+    )
     if stretch is None:  # the sample itself is not usable
         raise _nothing_recorded(session, sample, settings)
-    recorded_samples = stretch.part(sample.index, min(sample.index + size, stretch.last))
+    recorded_samples = stretch.part(
+        sample.index, min(sample.index + size, stretch.last)
+    )
     levels = recorded_samples.references if closed else recorded_samples.inputs
     count = len(recorded_samples) - 1
     if not count:
         raise _nothing_recorded(session, sample, settings)
     notes: tuple[str, ...] = ()
     if count < size:
-        why = "a sample is missing" if stretch.last < session.samples[-1].index else "the session ends"
+        why = (
+            "a sample is missing"
+            if stretch.last < session.samples[-1].index
+            else "the session ends"
+        )
         notes = (f"shortened to {count * period:g} s: {why} there",)
     rows = recorded_samples.disturbances if sample.disturbances else None
     profiles = [SetPoints.recorded(column, period) for column in levels.T]
-    return Ahead(_beside_each_other(profiles, period, count), f"the recorded {kind}s", notes, rows)
+    return Ahead(
+        _beside_each_other(profiles, period, count),
+        f"the recorded {kind}s",
+        notes,
+        rows,
+    )
 
 
-def check_recorded_ahead(session: Session, samples: Iterable[Sample], settings: TwinSettings) -> None:
+def check_recorded_ahead(
+    session: Session, samples: Iterable[Sample], settings: TwinSettings
+) -> None:
     """Check, before the session is judged, that something was recorded after each of these samples.
 
     Raises:
         TwinmatchError: nothing was recorded right after one of them.
     """
-    following = {before.index: after.index for before, after in pairwise(session.samples)}
+    following = {
+        before.index: after.index for before, after in pairwise(session.samples)
+    }
     for sample in samples:
         next_index = following.get(sample.index)
         if next_index is None or next_index - sample.index > settings.schedule.gap + 1:
             raise _nothing_recorded(session, sample, settings)
 
 
-def _nothing_recorded(session: Session, sample: Sample, settings: TwinSettings) -> TwinmatchError:
+def _nothing_recorded(
+    session: Session, sample: Sample, settings: TwinSettings
+) -> TwinmatchError:
     return TwinmatchError(
         f"session {session.name}: nothing was recorded right after sample {sample.index}, so no "
         f"{_kind_ahead(settings)} ahead is known; choose an earlier sample, or give --hold"
@@ -366,5 +435,7 @@ def forecast_of(prospect: Prospect, ahead: Ahead, period: float) -> Forecast:
     learned = prospect.outlook.leads[-1] * period
     beyond: tuple[str, ...] = ()
     if forecast.time[-1] > learned:
-        beyond = (f"the width of the band is learned up to {learned:g} s ahead, and not beyond",)
+        beyond = (
+            f"the width of the band is learned up to {learned:g} s ahead, and not beyond",
+        )
     return replace(forecast, notes=forecast.notes + beyond + ahead.notes)

@@ -45,7 +45,8 @@ def held_interrupts() -> Iterator[Callable[[], None]]:
     the loop then fails with another error, or the process crashes. A block inside another one defers for
     both, so the function of the inner one also raises a Ctrl-C from before it began.
     """
-    if threading.current_thread() is not threading.main_thread():  # only the main thread receives signals
+    if threading.current_thread() is not threading.main_thread():
+        # only the main thread receives signals
         yield _DeferredInterrupt().check
         return
     before = signal.getsignal(signal.SIGINT)
@@ -63,7 +64,11 @@ def held_interrupts() -> Iterator[Callable[[], None]]:
 
 def cores() -> int:
     """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return (
+        len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count() or 1
+    )
 
 
 @contextlib.contextmanager
@@ -73,7 +78,7 @@ def pool(processes: int, *, forked: bool = False) -> Iterator[ProcessPoolExecuto
     They are spawned unless `forked`: a fork needs no imports, but copies the locks that other threads hold.
     Ctrl-C is handled by this process only.
     """
-    import multiprocessing  # noqa: PLC0415 — slow to import, as all that follows; few commands need it
+    import multiprocessing  # noqa: PLC0415
     from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415
 
     before = set(multiprocessing.active_children())
@@ -81,7 +86,8 @@ def pool(processes: int, *, forked: bool = False) -> Iterator[ProcessPoolExecuto
     executor = ProcessPoolExecutor(processes, mp_context=context, initializer=_begin)
     finished = False
     try:
-        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited by the new processes
+        # inherited by the new processes
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             executor.submit(os.getpid)  # the first task starts them
         finally:
@@ -125,7 +131,9 @@ class Beside:
     def __init__(self, second: Executor | None = None) -> None:
         self._second = second
 
-    def give(self, task: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> Callable[[], R]:
+    def give(
+        self, task: Callable[P, R], *args: P.args, **kwargs: P.kwargs
+    ) -> Callable[[], R]:
         """Give a task; the function returned gives its result.
 
         A task that the second process has not begun by then, or has died of, is done by the caller. So both
@@ -154,7 +162,12 @@ class Beside:
 def beside(*, possible: bool = True) -> Iterator[Beside]:
     """A second process, a copy of this one; none on a single core, where it is not `possible`, or if another
     thread may hold a lock that the copy would wait for."""
-    if not (possible and sys.platform == "linux" and cores() > 1 and threading.active_count() == 1):
+    if not (
+        possible
+        and sys.platform == "linux"
+        and cores() > 1
+        and threading.active_count() == 1
+    ):
         yield Beside()
         return
     with pool(1, forked=True) as second:

@@ -7,7 +7,9 @@ from twinmatch.offline.judging import Judgement, Terms, Watch, judge
 from twinmatch.sessions import Session
 
 
-def learn(session: Session, terms: Terms, rig: str = "", watch: Watch | None = None) -> list[Lesson]:
+def learn(
+    session: Session, terms: Terms, rig: str = "", watch: Watch | None = None
+) -> list[Lesson]:
     """Judge a session, and return its lessons on the rig of this name; see `lessons_of`."""
     return learn_from(judge(session, terms, watch=watch), rig)
 

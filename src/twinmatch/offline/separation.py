@@ -59,7 +59,10 @@ def _inseparable_names(fitted: StructureFit) -> tuple[str, ...]:
     names = set()
     for i, j in combinations(range(len(free)), 2):
         are_open = deviations[i] > _OPEN and deviations[j] > _OPEN
-        if are_open and abs(covariance[i, j]) > _TOGETHER * deviations[i] * deviations[j]:
+        if (
+            are_open
+            and abs(covariance[i, j]) > _TOGETHER * deviations[i] * deviations[j]
+        ):
             names |= {free[i], free[j]}
     return tuple(name for name in free if name in names)
 
@@ -74,5 +77,8 @@ def _held_words(windows: Sequence[Window], plant: type[Plant]) -> str:
         most = int(np.argmax(counts))
         if counts[most] >= _STOOD * len(values):
             lasted = f"{counts[most] * period:.4g} of {len(values) * period:.4g} s"
-            words.append(f"{name} stood at {levels[most]:g} {drive.unit}".rstrip() + f" for {lasted}")
+            words.append(
+                f"{name} stood at {levels[most]:g} {drive.unit}".rstrip()
+                + f" for {lasted}"
+            )
     return " and ".join(words)

@@ -8,7 +8,14 @@ from typing import NamedTuple
 
 from twinmatch.comparing import Candidate
 from twinmatch.dynamics import PlantError
-from twinmatch.memory import Lesson, Memory, MemoryFaultError, default_file, default_files, start_from
+from twinmatch.memory import (
+    Lesson,
+    Memory,
+    MemoryFaultError,
+    default_file,
+    default_files,
+    start_from,
+)
 from twinmatch.plants import find_plant, plant_named
 
 
@@ -40,24 +47,32 @@ def memory_file(memory: Path | None, rig: str, plant: str) -> Path:
     return having[0]
 
 
-def remembered_start(path: Path, rig: str, plant: str, excluded: Collection[str] = ()) -> RememberedStart:
+def remembered_start(
+    path: Path, rig: str, plant: str, excluded: Collection[str] = ()
+) -> RememberedStart:
     """The start from a memory, without the sessions named in `excluded`: those that are judged.
 
     Raises:
         MemoryFaultError: the memory cannot be used, or holds several plants and none is named.
     """
     lessons = [
-        remembered for remembered in Memory(path).lessons(rig=rig or None) if remembered.name not in excluded
+        remembered
+        for remembered in Memory(path).lessons(rig=rig or None)
+        if remembered.name not in excluded
     ]
     kinds = sorted({lesson.plant for lesson in lessons})
     if not lessons:
         return RememberedStart((), f"{path}: nothing is remembered yet")
     if not plant and len(kinds) > 1:
-        raise MemoryFaultError(f"memory {path}: it is of {', '.join(kinds)}; name the plant with --plant")
+        raise MemoryFaultError(
+            f"memory {path}: it is of {', '.join(kinds)}; name the plant with --plant"
+        )
     try:
         kind = find_plant(plant) if plant else plant_named(kinds[0])
     except PlantError as error:
-        raise MemoryFaultError(f"memory {path}: {error}; give its plant file with --plant") from error
+        raise MemoryFaultError(
+            f"memory {path}: {error}; give its plant file with --plant"
+        ) from error
     candidates = start_from(lessons, kind)
     if not candidates:
         return RememberedStart((), f"{path}: {_why_nothing(lessons, kind.name)}")

@@ -73,7 +73,9 @@ class TrustRange(NamedTuple):
     def __str__(self) -> str:
         """The widest ranges in words, such as "between 20 and 30 °C", their ends rounded inwards."""
         widest = sorted(self.spans, key=lambda span: span[0] - span[1])[:MAX_RANGES]
-        return number_list([f"between {self._rounded(*span)}" for span in sorted(widest)])
+        return number_list(
+            [f"between {self._rounded(*span)}" for span in sorted(widest)]
+        )
 
     def _rounded(self, low: float, high: float) -> str:
         steps = 10.0**self.decimals
@@ -82,10 +84,14 @@ class TrustRange(NamedTuple):
         if low_inside <= high_inside:  # else the range is narrower than the rounding
             low = low_inside
             high = high_inside
-        return f"{low:.{self.decimals}f} and {high:.{self.decimals}f} {self.unit}".rstrip()
+        return (
+            f"{low:.{self.decimals}f} and {high:.{self.decimals}f} {self.unit}".rstrip()
+        )
 
 
-def trust_range(ranges: Sequence[tuple[float, float]], unit: str, decimals: int) -> TrustRange | None:
+def trust_range(
+    ranges: Sequence[tuple[float, float]], unit: str, decimals: int
+) -> TrustRange | None:
     """Where forecasts have held, one decimal place coarser than the output's; None if nowhere."""
     return TrustRange(tuple(ranges), unit, max(0, decimals - 1)) if ranges else None
 
@@ -163,7 +169,9 @@ MAX_STRETCHES: Final = 400
 class Tally:
     """Counts over the verdicts for a summary, updated one verdict at a time."""
 
-    def __init__(self, verdicts: Iterable[Verdict] = (), first: int | None = None) -> None:
+    def __init__(
+        self, verdicts: Iterable[Verdict] = (), first: int | None = None
+    ) -> None:
         """Start with these verdicts; `first`: the session's first sample, by default that of the first
         window."""
         self.last: Verdict | None = None
@@ -188,7 +196,8 @@ class Tally:
             self.matches[verdict.match] += 1
         if verdict.match == REFUSED:
             self.refusal = verdict.reason
-        if not math.isnan(verdict.held_low):  # the range around the readings: others were held before
+        if not math.isnan(verdict.held_low):
+            # the range around the readings: others were held before
             self.held = merged([*self.held, (verdict.held_low, verdict.held_high)])
         self._extend(verdict)
         self.last = verdict
@@ -205,7 +214,8 @@ class Tally:
         fault = verdict.named_fault
         since = verdict.fault_since if fault else None
         stretch = LevelStretch(self._first, sample, verdict.level, fault, since)
-        if self.last is None and fault and sample > self._first:  # nothing was said before it
+        if self.last is None and fault and sample > self._first:
+            # nothing was said before it
             self.stretches.append(LevelStretch(self._first, sample, TrustLevel.UNKNOWN))
         if not self.stretches:
             self.stretches.append(stretch)
@@ -222,7 +232,10 @@ class Tally:
         if fault_begins:
             begin = max(sample, last.first + 1)
             last = last._replace(last=begin - 1)
-        self.stretches[-1:] = [last, stretch._replace(first=begin, last=max(sample, begin))]
+        self.stretches[-1:] = [
+            last,
+            stretch._replace(first=begin, last=max(sample, begin)),
+        ]
         del self.stretches[:-MAX_STRETCHES]
 
 
@@ -287,8 +300,12 @@ def conclude(
     )
 
 
-def _range(parameters: Parameters, ranges: Sequence[tuple[float, float]]) -> TrustRange | None:
+def _range(
+    parameters: Parameters, ranges: Sequence[tuple[float, float]]
+) -> TrustRange | None:
     """Where forecasts have held; of several outputs the levels of the first."""
     first, *further_outputs = parameters.model.plant.outputs.values()
-    unit = f"{first.unit} of {first.text or first.name}" if further_outputs else first.unit
+    unit = (
+        f"{first.unit} of {first.text or first.name}" if further_outputs else first.unit
+    )
     return trust_range(ranges, unit, first.decimals)

@@ -71,9 +71,15 @@ class LawThatRan:
         periods = np.arange(index[0], index[-1] + 1)
         newest = np.searchsorted(index, periods, side="right") - 1
         return _RecordedRows(
-            references=np.array([sample.references for sample in samples], dtype=np.float64)[newest],
-            outputs=np.array([sample.outputs for sample in samples], dtype=np.float64)[newest],
-            inputs=np.array([sample.inputs for sample in samples], dtype=np.float64)[newest],
+            references=np.array(
+                [sample.references for sample in samples], dtype=np.float64
+            )[newest],
+            outputs=np.array([sample.outputs for sample in samples], dtype=np.float64)[
+                newest
+            ],
+            inputs=np.array([sample.inputs for sample in samples], dtype=np.float64)[
+                newest
+            ],
             is_recorded=(index[newest] == periods).astype(np.float64),
         )
 
@@ -85,20 +91,29 @@ class LawThatRan:
     @cached_property
     def _reproduction(self) -> Reproduction:
         """What the law gives on the recorded signals, beside the recorded commands."""
-        return reproduced(self._law_as_run, self._rows.references, self._rows.outputs, self._rows.inputs)
+        return reproduced(
+            self._law_as_run,
+            self._rows.references,
+            self._rows.outputs,
+            self._rows.inputs,
+        )
 
     @property
     def faulty(self) -> bool:
         """Whether the session, judged by itself, shows a fault; without verdicts it does not."""
         session = self.ground.session
         terms = self.ground.terms
-        return terms is not None and any(verdict.fault for verdict in judge(session, terms).verdicts)
+        return terms is not None and any(
+            verdict.fault for verdict in judge(session, terms).verdicts
+        )
 
     def question(self, holding: Holding, draws: int) -> ControllerQuestion:
         """The law over the set-points of the session, from its beginning."""
         references = self._rows.references
         state = None if self._begins_at_rest else self._reproduction.state
-        return ControllerQuestion(self._law_as_run, references, references[0], holding, draws, state=state)
+        return ControllerQuestion(
+            self._law_as_run, references, references[0], holding, draws, state=state
+        )
 
     @property
     def _begins_at_rest(self) -> bool:
@@ -113,9 +128,13 @@ class LawThatRan:
             return [replace(twin, states=None) for twin in twins]
         y = self._rows.outputs[0]
         u = self._rows.inputs[0]
-        return [replace(twin, states=begin(twin.parameters, y), inputs=u) for twin in twins]
+        return [
+            replace(twin, states=begin(twin.parameters, y), inputs=u) for twin in twins
+        ]
 
-    def comparison(self, answer: ControllerAnswer, learned: Sequence[Ground], rig: str) -> LawComparison:
+    def comparison(
+        self, answer: ControllerAnswer, learned: Sequence[Ground], rig: str
+    ) -> LawComparison:
         """Its readings beside the answer to its question, from what these sessions have taught."""
         session = self.ground.session
         return LawComparison(
@@ -125,5 +144,7 @@ class LawThatRan:
             rig=rig,
             law=self.law_name,
             learned=", ".join(ground.session.name for ground in learned),
-            **compared(answer, self._rows.outputs, self._rows.is_recorded, self.ground.noise),
+            **compared(
+                answer, self._rows.outputs, self._rows.is_recorded, self.ground.noise
+            ),
         )

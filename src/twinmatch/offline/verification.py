@@ -140,14 +140,23 @@ def compare(session: Session, judgement: Judgement) -> Verification:
         count = "1 verdict" if missing == 1 else f"{missing} verdicts"
         notes.append(f"{count} at the very end came after the recording had stopped")
     if session.samples[0].index:
-        notes.append(f"the recording begins at sample {session.samples[0].index}; the twin may know more")
+        notes.append(
+            f"the recording begins at sample {session.samples[0].index}; the twin may know more"
+        )
     return Verification(
-        session.name, len(session.samples), len(scores), len(matches), difference, tuple(notes)
+        session.name,
+        len(session.samples),
+        len(scores),
+        len(matches),
+        difference,
+        tuple(notes),
     )
 
 
 def _records_of(session: Session, name: str) -> list[Tree]:
-    return [comparable(tree_of_message(message)) for message in _messages(session, name)]
+    return [
+        comparable(tree_of_message(message)) for message in _messages(session, name)
+    ]
 
 
 def _computed_tree(record: Verdict | MatchReport, stamp: int) -> Tree:
@@ -182,38 +191,61 @@ class _Comparison:
         self._reworded: set[str] = set()
         """Fields of text that differ."""
 
-    def first(self, kind: str, recorded: list[Tree], computed: list[Tree]) -> Difference | None:
+    def first(
+        self, kind: str, recorded: list[Tree], computed: list[Tree]
+    ) -> Difference | None:
         """The first difference between records of a kind, match or verdict, if there is one."""
-        for number, (before, after) in enumerate(zip(recorded, computed, strict=False), 1):
+        for number, (before, after) in enumerate(
+            zip(recorded, computed, strict=False), 1
+        ):
             difference = next(self._differences(before, after), None)
             if difference is not None:
                 field, was, is_now = difference
-                return Difference(kind, number, before["sample"], _owner(before, field), field, was, is_now)
+                return Difference(
+                    kind,
+                    number,
+                    before["sample"],
+                    _owner(before, field),
+                    field,
+                    was,
+                    is_now,
+                )
         number = min(len(recorded), len(computed))
         if len(recorded) > number:
             sample = recorded[number]["sample"]
-            return Difference(kind, number + 1, sample, "", "all of it", "there", "absent")
+            return Difference(
+                kind, number + 1, sample, "", "all of it", "there", "absent"
+            )
         if len(computed) > number and not self._at_the_end(computed[number]):
             sample = computed[number]["sample"]
-            return Difference(kind, number + 1, sample, "", "all of it", "absent", "there")
+            return Difference(
+                kind, number + 1, sample, "", "all of it", "absent", "there"
+            )
         return None
 
     def notes(self) -> list[str]:
         """Notes on what was not compared."""
         notes = []
         for fields, why in (
-            (self._in_one_form_only, "recorded in another form; fields that only one form has"),
+            (
+                self._in_one_form_only,
+                "recorded in another form; fields that only one form has",
+            ),
             (self._reworded, "this version words some texts differently; they"),
         ):
             if fields:
                 notes.append(f"{why} were not compared: {', '.join(sorted(fields))}")
         return notes
 
-    def _differences(self, recorded: Tree, computed: Tree) -> Iterator[tuple[str, Any, Any]]:
+    def _differences(
+        self, recorded: Tree, computed: Tree
+    ) -> Iterator[tuple[str, Any, Any]]:
         """Field, recorded and computed value of each difference that counts."""
         in_one_only: set[str] = set()
         all_differences = list(differences(recorded, computed, apart=in_one_only))
-        self._in_one_form_only |= {field.removeprefix("candidates.") for field in in_one_only}
+        self._in_one_form_only |= {
+            field.removeprefix("candidates.") for field in in_one_only
+        }
         for field, was, is_now in all_differences:
             if field.rsplit(".", 1)[-1] in SENTENCES:
                 self._reworded.add(field)
@@ -254,8 +286,14 @@ def check_fmus(name: str, plant: type[Plant], recorded: Sequence[str]) -> None:
     missing = [name for name in recorded_fmus if name not in usable_fmus]
     additional = [name for name in usable_fmus if name not in recorded_fmus]
     if missing:
-        same_name = [name for name in additional if unmarked(name) == unmarked(missing[0])]
-        hint = f"; the one given, {same_name[0]!r}, is another FMU or has another map" if same_name else ""
+        same_name = [
+            name for name in additional if unmarked(name) == unmarked(missing[0])
+        ]
+        hint = (
+            f"; the one given, {same_name[0]!r}, is another FMU or has another map"
+            if same_name
+            else ""
+        )
         raise ForeignError(
             f"session {name}: was judged with the structure {missing[0]!r}, an FMU{hint}; give that FMU's "
             "map file with --allow-fmu FILE"

@@ -88,8 +88,13 @@ def parse_candidates(
     content = parse_yaml(text, path)
     entries = content.get("candidates") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not entries:
-        raise CandidateFileError(f"{path}: has no list 'candidates'; add one with an entry per candidate")
-    candidates = [_candidate(entry, f"{path}: candidate {k}", find) for k, entry in enumerate(entries, 1)]
+        raise CandidateFileError(
+            f"{path}: has no list 'candidates'; add one with an entry per candidate"
+        )
+    candidates = [
+        _candidate(entry, f"{path}: candidate {k}", find)
+        for k, entry in enumerate(entries, 1)
+    ]
     names = [c.name for c in candidates]
     for name in names:
         if names.count(name) > 1:
@@ -100,9 +105,15 @@ def parse_candidates(
 
 def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Candidate:
     written = decoded(entry, _Entry, place, CandidateFileError)
-    further_entries = {name: value for name, value in entry.items() if name not in _Entry.__struct_fields__}
+    further_entries = {
+        name: value
+        for name, value in entry.items()
+        if name not in _Entry.__struct_fields__
+    }
     try:
-        numbers = {name: decoded(value, float, name) for name, value in further_entries.items()}
+        numbers = {
+            name: decoded(value, float, name) for name, value in further_entries.items()
+        }
         name = _word("name", written.name)
         plant = _word("plant", written.plant)
         structure = _word("structure", written.structure)
@@ -126,10 +137,15 @@ def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Ca
     return Candidate(name, point_of(values), parameters, None, free, covariance)
 
 
-def _spread(entry: Mapping[str, Any], parameters: Parameters) -> tuple[tuple[str, ...], FloatArray]:
+def _spread(
+    entry: Mapping[str, Any], parameters: Parameters
+) -> tuple[tuple[str, ...], FloatArray]:
     """The free parameters of a remembered candidate and their covariance; both empty for an exact one."""
     free = parameters.model.structure.free
-    deviations = {name: decoded(value, float, f"deviation of {name}") for name, value in entry.items()}
+    deviations = {
+        name: decoded(value, float, f"deviation of {name}")
+        for name, value in entry.items()
+    }
     if deviations and deviations.keys() != {*free}:
         raise CandidateFileError(
             f"deviations are those of {', '.join(map(shown, deviations))}; the structure "
@@ -137,7 +153,9 @@ def _spread(entry: Mapping[str, Any], parameters: Parameters) -> tuple[tuple[str
         )
     for name, deviation in deviations.items():
         if not 0.0 < deviation < math.inf:
-            raise CandidateFileError(f"deviation of {name} is {deviation:g}; give a positive finite number")
+            raise CandidateFileError(
+                f"deviation of {name} is {deviation:g}; give a positive finite number"
+            )
     values = [deviations[name] for name in free] if deviations else []
     return tuple(free) if deviations else (), np.diag(np.square(values))
 
@@ -147,7 +165,11 @@ def candidates_text(candidates: Sequence[Candidate]) -> str:
     entries = []
     for candidate in candidates:
         model = candidate.parameters.model
-        deviations = np.sqrt(np.diag(candidate.covariance)).tolist() if candidate.remembered else []
+        deviations = (
+            np.sqrt(np.diag(candidate.covariance)).tolist()
+            if candidate.remembered
+            else []
+        )
         point = np.array(candidate.operating_point).tolist()
         entry: dict[str, Any] = {"name": candidate.name, "operating_point": point}
         entry |= {"plant": written_name(model.plant), "structure": model.structure_name}
@@ -160,5 +182,7 @@ def candidates_text(candidates: Sequence[Candidate]) -> str:
 
 def _word(key: str, value: str | float) -> str:
     if not str(value).isprintable() or len(str(value)) > MAX_NAME:
-        raise CandidateFileError(f"{key} is {shown(value)}; give at most {MAX_NAME} printable characters")
+        raise CandidateFileError(
+            f"{key} is {shown(value)}; give at most {MAX_NAME} printable characters"
+        )
     return str(value)

@@ -23,7 +23,13 @@ Values = dict[str, Any]
 Record = TypeVar("Record", bound=Any)
 """An object of a dataclass."""
 
-KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text", list: "a list"}
+KINDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    list: "a list",
+}
 BUILT_IN = ("use_sim_time", "start_type_description_service", "qos_overrides./clock.")
 """Parameters that every ROS 2 node has; rclpy itself declares the QoS overrides of /clock."""
 QOS = "qos_overrides."
@@ -52,7 +58,9 @@ class Setting:
     def limits(self) -> str:
         """Unit and range as a user reads them, such as `°C, 0 to 100`; empty when there is neither."""
         if self.choices:
-            return "one of: " + ("; " if any("," in c for c in self.choices) else ", ").join(self.choices)
+            return "one of: " + (
+                "; " if any("," in c for c in self.choices) else ", "
+            ).join(self.choices)
         low = f"{self.low:g}"
         high = f"{self.high:g}"
         span = f"{low} to {high}"
@@ -71,13 +79,21 @@ class Setting:
         kind = type(self.default)
         if kind is float and type(value) is int:
             value = float(value)
-        if kind is list and value is not None and not isinstance(value, str | bytes | bool | int | float):
+        if (
+            kind is list
+            and value is not None
+            and not isinstance(value, str | bytes | bool | int | float)
+        ):
             value = self._accept_list(list(value), node)
         if type(value) is not kind:
-            raise ParameterError(f"{node}: parameter {self.name} is {shown(value)}; it must be {KINDS[kind]}")
+            raise ParameterError(
+                f"{node}: parameter {self.name} is {shown(value)}; it must be {KINDS[kind]}"
+            )
         items = value if isinstance(value, list) else [value]
         if not all(self._allowed(item) for item in items):
-            raise ParameterError(f"{node}: parameter {self.name} is {shown(value)}; allowed: {self.limits}")
+            raise ParameterError(
+                f"{node}: parameter {self.name} is {shown(value)}; allowed: {self.limits}"
+            )
         return value
 
     def _accept_list(self, items: list[Any], node: str) -> list[Any]:
@@ -130,10 +146,16 @@ def given_to(record: Record, values: Mapping[str, Any], prefix: str = "") -> Rec
 
 def group(values: Mapping[str, Any], prefix: str) -> Values:
     """The values whose names start with a prefix, without it."""
-    return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
+    return {
+        name.removeprefix(prefix): value
+        for name, value in values.items()
+        if name.startswith(prefix)
+    }
 
 
-def check(node: str, table: Sequence[Setting], given_values: Mapping[str, Any]) -> Values:
+def check(
+    node: str, table: Sequence[Setting], given_values: Mapping[str, Any]
+) -> Values:
     """All parameters of a node: those given, checked, and the defaults of the others.
 
     Raises:
@@ -155,7 +177,9 @@ def check(node: str, table: Sequence[Setting], given_values: Mapping[str, Any]) 
             )
             raise ParameterError(f"{node}: there is no parameter {name[:80]}; {hint}")
     return {
-        name: parameter.accept(given_values[name], node) if name in given_values else parameter.default
+        name: parameter.accept(given_values[name], node)
+        if name in given_values
+        else parameter.default
         for name, parameter in setting_of.items()
     }
 
@@ -171,12 +195,18 @@ def sections_of(path: Path, *nodes: str) -> Values:
     tree = content if isinstance(content, dict) else {}
     parameters_of_nodes: Values = {}
     for node in (present := [node for node in nodes if tree.get(node) is not None]):
-        parameters = tree[node].get("ros__parameters") if isinstance(tree[node], dict) else None
+        parameters = (
+            tree[node].get("ros__parameters") if isinstance(tree[node], dict) else None
+        )
         if not isinstance(parameters, dict):
-            raise ParameterError(f"{path}: section {node} has no ros__parameters; see the files in config/")
+            raise ParameterError(
+                f"{path}: section {node} has no ros__parameters; see the files in config/"
+            )
         parameters_of_nodes |= flattened(parameters)
     if not present:
-        raise ParameterError(f"{path}: has no section {' or '.join(nodes)}; see the files in config/")
+        raise ParameterError(
+            f"{path}: has no section {' or '.join(nodes)}; see the files in config/"
+        )
     return parameters_of_nodes
 
 
@@ -191,7 +221,9 @@ def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def render(node: str, table: Sequence[Setting], values: Mapping[str, Any] | None = None) -> str:
+def render(
+    node: str, table: Sequence[Setting], values: Mapping[str, Any] | None = None
+) -> str:
     """A section of a ROS parameter file: every parameter with its description, unit and range."""
     lines = [f"{node}:", "  ros__parameters:"]
     for parameter in table:
@@ -216,5 +248,7 @@ def _yaml(value: Any) -> str:
 
 
 READERS = Setting(
-    "readers", "", "Nodes that must receive every plant/sample and are waited for; names with spaces between."
+    "readers",
+    "",
+    "Nodes that must receive every plant/sample and are waited for; names with spaces between.",
 )

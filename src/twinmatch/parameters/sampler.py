@@ -12,7 +12,14 @@ from typing import Any, Final
 
 from twinmatch.dynamics import Plant, PlantError
 from twinmatch.links.sources import protocol_of
-from twinmatch.parameters.declared import READERS, ParameterError, Setting, Values, check, sections_of
+from twinmatch.parameters.declared import (
+    READERS,
+    ParameterError,
+    Setting,
+    Values,
+    check,
+    sections_of,
+)
 from twinmatch.parameters.twin import at_period, read_settings
 from twinmatch.plants import Peltier, find_plant, written_name
 from twinmatch.sampling.channels import Channel, SamplingError, parse_channel
@@ -32,13 +39,17 @@ _SLACK: Final = 1e-9
 """Relative tolerance of a limit, for rounding in unit conversions."""
 
 
-def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> tuple[Setting, ...]:
+def sampler_table(
+    plant: type[Plant] = Peltier, period: float | None = None
+) -> tuple[Setting, ...]:
     """The parameters for a plant and a sampling period, s."""
     usual = plant.loop.period if plant.loop else 1.0
     signals = signals_of(plant)
     step = period or usual
     loop = LoopNames.of(plant)
-    ages = dict.fromkeys(loop.references, 0.0) | dict.fromkeys((*loop.outputs, *loop.inputs), _PERIODS)
+    ages = dict.fromkeys(loop.references, 0.0) | dict.fromkeys(
+        (*loop.outputs, *loop.inputs), _PERIODS
+    )
     pacer = "What paces the ticks: a signal with one message per period, or the sampler's own timer."
     types = "Type of each topic that has several, comma-separated: /cmd std_msgs/msg/Float64, …"
     wait = "Longest wait for topics of ROS without publisher; 0: for ever."
@@ -53,21 +64,42 @@ def sampler_table(plant: type[Plant] = Peltier, period: float | None = None) -> 
         text = f"Age from which a value of the {name} is stale; 0: never."
         limits.append(Setting(f"max_age.{name}", age, text, "s", 0.0, 1e6))
     return (
-        Setting("plant", written_name(plant), "Plant of the rig: its name, or the file that defines it."),
-        Setting("source", "", "Where the signals come from: mqtt://…, modbus://…; empty: topics of ROS."),
-        Setting("period", usual, "Sampling period of the running loop.", "s", 0.01, 60.0),
+        Setting(
+            "plant",
+            written_name(plant),
+            "Plant of the rig: its name, or the file that defines it.",
+        ),
+        Setting(
+            "source",
+            "",
+            "Where the signals come from: mqtt://…, modbus://…; empty: topics of ROS.",
+        ),
+        Setting(
+            "period", usual, "Sampling period of the running loop.", "s", 0.01, 60.0
+        ),
         Setting("paced_by", loop.inputs[0], pacer, choices=(*signals, TIMER)),
-        Setting("settle", 0.1, "Wait after such a message for those sent with it.", "periods", 0.0, 0.45),
+        Setting(
+            "settle",
+            0.1,
+            "Wait after such a message for those sent with it.",
+            "periods",
+            0.0,
+            0.45,
+        ),
         *maps,
         *limits,
         Setting("types", "", types),
         Setting("wait_timeout", 10.0, wait, "s", 0.0, 1e6),
         READERS,
-        Setting("readers_timeout", 30.0, "Longest wait for those nodes.", "s", 0.1, 3600.0),
+        Setting(
+            "readers_timeout", 30.0, "Longest wait for those nodes.", "s", 0.1, 3600.0
+        ),
     )
 
 
-def understood(place: str, given_values: Mapping[str, Any]) -> tuple[tuple[Setting, ...], dict[str, Any]]:
+def understood(
+    place: str, given_values: Mapping[str, Any]
+) -> tuple[tuple[Setting, ...], dict[str, Any]]:
     """The table for the plant selected by the given values, and these by its own names of the signals.
 
     Raises:
@@ -81,15 +113,23 @@ def understood(place: str, given_values: Mapping[str, Any]) -> tuple[tuple[Setti
     used = dict[str, str]()
     for name in given_values:
         kind, _, signal = name.partition(".")
-        usual_name = f"{kind}.{called.get(signal, signal)}" if kind in {"map", "max_age"} else name
+        usual_name = (
+            f"{kind}.{called.get(signal, signal)}"
+            if kind in {"map", "max_age"}
+            else name
+        )
         if usual_name in used:
-            raise ParameterError(f"{place}: {used[usual_name]} and {name} are the same signal; give it once")
+            raise ParameterError(
+                f"{place}: {used[usual_name]} and {name} are the same signal; give it once"
+            )
         used[usual_name] = name
     values = {usual_name: given_values[name] for usual_name, name in used.items()}
     if isinstance(pacer := values.get("paced_by"), str):
         values["paced_by"] = called.get(pacer, pacer)
     period = given_values.get("period")
-    valid_period = float(period) if isinstance(period, int | float) and period > 0 else None
+    valid_period = (
+        float(period) if isinstance(period, int | float) and period > 0 else None
+    )
     return sampler_table(plant, valid_period), values
 
 
@@ -120,10 +160,14 @@ def sources_of(place: str, values: Mapping[str, Any]) -> dict[str, SignalSource]
 
 def _parse_of(values: Mapping[str, Any]) -> Callable[[str], Channel]:
     """How a place is written in a map."""
-    return protocol_of(values["source"]).parse_place if values["source"] else parse_channel
+    return (
+        protocol_of(values["source"]).parse_place if values["source"] else parse_channel
+    )
 
 
-def limits_of(values: Mapping[str, Any], mapped: Mapping[str, SignalSource]) -> dict[str, Limits]:
+def limits_of(
+    values: Mapping[str, Any], mapped: Mapping[str, SignalSource]
+) -> dict[str, Limits]:
     """The limits of each mapped signal."""
     plant = find_plant(values["plant"])
     signals = signals_of(plant)
@@ -133,7 +177,12 @@ def limits_of(values: Mapping[str, Any], mapped: Mapping[str, SignalSource]) -> 
         low = signals[name].low
         high = signals[name].high
         slack = _SLACK * max(abs(low), abs(high)) if high - low < float("inf") else 0.0
-        return Limits(values[f"max_age.{name}"], low - slack, high + slack, lenient=name in outputs)
+        return Limits(
+            values[f"max_age.{name}"],
+            low - slack,
+            high + slack,
+            lenient=name in outputs,
+        )
 
     return {name: limits(name) for name in mapped}
 
@@ -154,7 +203,9 @@ def types_of(place: str, text: str) -> dict[str, str]:
     return types
 
 
-def listener_of(place: str, values: Mapping[str, Any], now: Callable[[], int]) -> SignalListener:
+def listener_of(
+    place: str, values: Mapping[str, Any], now: Callable[[], int]
+) -> SignalListener:
     """The listener with these parameters; `now` is the time of the clock of the stamps, ns.
 
     Raises:
@@ -176,7 +227,9 @@ def listener_of(place: str, values: Mapping[str, Any], now: Callable[[], int]) -
     )
     parse = _parse_of(values)
     channels = {name: source.channels(name, parse) for name, source in sources.items()}
-    return SignalListener(sampler, plant, sources, channels, now=now, wait=values["wait_timeout"])
+    return SignalListener(
+        sampler, plant, sources, channels, now=now, wait=values["wait_timeout"]
+    )
 
 
 def source_of(values: Mapping[str, Any]) -> Open | None:
@@ -185,7 +238,9 @@ def source_of(values: Mapping[str, Any]) -> Open | None:
     return partial(protocol_of(url).open_source, url, values["period"]) if url else None
 
 
-def sampler_values(config: Path | None, signal_map: SignalMap, source: str = "") -> tuple[Values, bool]:
+def sampler_values(
+    config: Path | None, signal_map: SignalMap, source: str = ""
+) -> tuple[Values, bool]:
     """The sampler's parameters, and whether it has the time of /clock.
 
     Args:
@@ -210,7 +265,9 @@ def sampler_values(config: Path | None, signal_map: SignalMap, source: str = "")
         given_values[f"map.{signal}"] = signal_source.text
     values = check(place, table, given_values)
     sources_of(place, values)
-    return values, bool(_SIM_TIME.accept(given_values.get(_SIM_TIME.name, False), place))
+    return values, bool(
+        _SIM_TIME.accept(given_values.get(_SIM_TIME.name, False), place)
+    )
 
 
 def twin_beside(values: Mapping[str, Any], config: Path | None) -> TwinSettings:

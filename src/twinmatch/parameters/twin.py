@@ -45,7 +45,13 @@ from twinmatch.parameters.declared import (
 )
 from twinmatch.plants import Peltier, find_plant, plant_named, written_name
 from twinmatch.plants.records import structure_of
-from twinmatch.twin import ForecastSettings, ScheduleSettings, TrustLimits, TwinError, TwinSettings
+from twinmatch.twin import (
+    ForecastSettings,
+    ScheduleSettings,
+    TrustLimits,
+    TwinError,
+    TwinSettings,
+)
 
 UNKNOWN: Final = "unknown"
 """Value of `loop` for a twin that is driven by the recorded input."""
@@ -61,10 +67,16 @@ def unit_of(signal: Output | Drive) -> str:
 
 def closing_of(values: Mapping[str, Any]) -> LoopLaw:
     """The loop that parameter `loop` selects; without it, that of the plant file."""
-    return None if values.get("loop", FromPlantFile.LOOP.value) == UNKNOWN else FROM_PLANT_FILE
+    return (
+        None
+        if values.get("loop", FromPlantFile.LOOP.value) == UNKNOWN
+        else FROM_PLANT_FILE
+    )
 
 
-def loop_parameters(plant: type[Plant], closing: LoopLaw = FROM_PLANT_FILE) -> tuple[Setting, ...]:
+def loop_parameters(
+    plant: type[Plant], closing: LoopLaw = FROM_PLANT_FILE
+) -> tuple[Setting, ...]:
     """The sampling period, and the gains of the plant's controller if it is known: of several PIDs, lists."""
     usual = plant.loop.period if plant.loop else 1.0
     pids = pids_of(law_for(plant, usual, closing))
@@ -76,7 +88,9 @@ def loop_parameters(plant: type[Plant], closing: LoopLaw = FROM_PLANT_FILE) -> t
     y = joined_units(output.unit for output in plant.outputs.values())
     limits = _widest([drive.limits for drive in drives])
 
-    def gain(name: str, text: str, unit: str = "", span: tuple[float, float] | None = None) -> Setting:
+    def gain(
+        name: str, text: str, unit: str = "", span: tuple[float, float] | None = None
+    ) -> Setting:
         values = [getattr(pid, name) for pid in pids]
         low, high = span or _widest(list(map(_span, values)))
         return Setting(f"pid.{name}", one_or_each(values), text, unit, low, high)
@@ -123,7 +137,9 @@ def running_law(values: Mapping[str, Any], usual: Law | None) -> Law | None:
         return PidGains(period=values["period"], **gains)
     for name, of_loops in gains.items():
         if len(of_loops) != count:
-            raise ParameterError(f"pid.{name} has {len(of_loops)} values; give one for each of {count} loops")
+            raise ParameterError(
+                f"pid.{name} has {len(of_loops)} values; give one for each of {count} loops"
+            )
     pids = []
     for k in range(count):
         gains_of_loop = {name: of_loops[k] for name, of_loops in gains.items()}
@@ -170,7 +186,9 @@ def twin_table(
     Windows and horizons depend on the sampling period, s (None: the plant file's), and on `schedule.scale`.
     """
     usual = plant.loop.period if plant.loop else 1.0
-    has = TwinSettings.of(plant, structure, usual if period is None else period, closing, scale)
+    has = TwinSettings.of(
+        plant, structure, usual if period is None else period, closing, scale
+    )
     return (
         *_plant(has.start.model),
         Setting(
@@ -182,10 +200,19 @@ def twin_table(
         *loop_parameters(plant, closing),
         *_numbers(has),
         Setting(
-            "recent", 60, "Samples over which the live twin's residuals are averaged.", "samples", 1, 100000
+            "recent",
+            60,
+            "Samples over which the live twin's residuals are averaged.",
+            "samples",
+            1,
+            100000,
         ),
         *_stand_ins(plant),
-        Setting("candidates", "", "File of initial candidates, for discriminator and matcher; empty: none."),
+        Setting(
+            "candidates",
+            "",
+            "File of initial candidates, for discriminator and matcher; empty: none.",
+        ),
         Setting(
             "allow_fmu",
             "",
@@ -206,7 +233,10 @@ def outputs_named(place: str, text: str, plant: type[Plant]) -> tuple[str, ...]:
     Raises:
         ParameterError: the plant has no such output.
     """
-    name_of = {unicodedata.normalize("NFKC", y.symbol): name for name, y in plant.outputs.items()}
+    name_of = {
+        unicodedata.normalize("NFKC", y.symbol): name
+        for name, y in plant.outputs.items()
+    }
     name_of |= {name: name for name in plant.outputs}
     words = text.split()
     if wrong := next((word for word in words if word not in name_of), None):
@@ -217,7 +247,9 @@ def outputs_named(place: str, text: str, plant: type[Plant]) -> tuple[str, ...]:
     return tuple(name_of[word] for word in words)
 
 
-def understood(place: str, given_values: Mapping[str, Any]) -> tuple[tuple[Setting, ...], dict[str, Any]]:
+def understood(
+    place: str, given_values: Mapping[str, Any]
+) -> tuple[tuple[Setting, ...], dict[str, Any]]:
     """The table for the plant and structure selected by the given values, and the values to check against it.
 
     Raises:
@@ -226,7 +258,7 @@ def understood(place: str, given_values: Mapping[str, Any]) -> tuple[tuple[Setti
     _refuse_renamed(place, given_values)
     try:
         if given_values.get("allow_fmu"):
-            from twinmatch.fmu import adopt_fmus  # noqa: PLC0415 — few plants have FMUs
+            from twinmatch.fmu import adopt_fmus  # noqa: PLC0415
 
             adopt_fmus(Path(str(given_values["allow_fmu"])))
         plant = find_plant(str(given_values.get("plant", Peltier.name)))
@@ -240,13 +272,19 @@ def understood(place: str, given_values: Mapping[str, Any]) -> tuple[tuple[Setti
 
 def _table(model: Model, given_values: Mapping[str, Any]) -> tuple[Setting, ...]:
     """The table for given values; what they have wrong is found when they are checked against it."""
-    table = partial(twin_table, model.plant, model.structure_name, closing_of(given_values))
+    table = partial(
+        twin_table, model.plant, model.structure_name, closing_of(given_values)
+    )
     accepted: dict[str, Any] = {
         setting.name: setting.accept(given_values[setting.name], "twin")
         for setting in table()
         if setting.name in {"period", "schedule.scale"} & given_values.keys()
     }
-    return table(accepted.get("period"), accepted.get("schedule.scale", 1.0)) if accepted else table()
+    return (
+        table(accepted.get("period"), accepted.get("schedule.scale", 1.0))
+        if accepted
+        else table()
+    )
 
 
 def twin_values(place: str, given_values: Mapping[str, Any]) -> Values:
@@ -263,7 +301,11 @@ def recorded_values(place: str, recorded: Mapping[str, Any]) -> Values:
     Raises:
         ParameterError: as `twin_values`.
     """
-    translated = {name: value for name, value in _translate(recorded).items() if name != "allow_fmu"}
+    translated = {
+        name: value
+        for name, value in _translate(recorded).items()
+        if name != "allow_fmu"
+    }
     if "schedule.scale" not in translated and isinstance(
         period := translated.get("period", 1.0), int | float
     ):
@@ -281,7 +323,9 @@ def settings_from(values: Mapping[str, Any]) -> TwinSettings:
     plant = find_plant(values["plant"])
     period = values["period"]
     scale = values["schedule.scale"]
-    usual = TwinSettings.of(plant, values["structure"], period, closing_of(values), scale)
+    usual = TwinSettings.of(
+        plant, values["structure"], period, closing_of(values), scale
+    )
     forecasts = group(values, "forecasts.")
     forecasts["horizons"] = tuple(forecasts["horizons"])
     sensor = group(values, "sensor.")
@@ -328,7 +372,9 @@ def values_of(settings: TwinSettings) -> Values:
             values[parameter.name] = list(value) if isinstance(value, tuple) else value
         elif hasattr(settings, owner):
             value = getattr(settings, owner)
-            values.setdefault(owner, " ".join(value) if isinstance(value, tuple) else value)
+            values.setdefault(
+                owner, " ".join(value) if isinstance(value, tuple) else value
+            )
     return values
 
 
@@ -336,10 +382,18 @@ def table_of(settings: TwinSettings) -> tuple[Setting, ...]:
     """The parameters of the twin with the defaults for these settings."""
     model = settings.start.model
     closing = FROM_PLANT_FILE if settings.law is not None else None
-    return twin_table(model.plant, model.structure_name, closing, settings.period, settings.schedule.scale)
+    return twin_table(
+        model.plant,
+        model.structure_name,
+        closing,
+        settings.period,
+        settings.schedule.scale,
+    )
 
 
-def read_settings(path: Path | None, plant: str = "", *, driven: bool = False) -> TwinSettings:
+def read_settings(
+    path: Path | None, plant: str = "", *, driven: bool = False
+) -> TwinSettings:
     """Settings from the sections of a ROS parameter file that concern the twin's nodes.
 
     Without a file, the defaults. Sections of other nodes are ignored.
@@ -359,18 +413,24 @@ def read_settings(path: Path | None, plant: str = "", *, driven: bool = False) -
         wanted["loop"] = UNKNOWN
     if path is None:
         return settings_from(twin_values("twin", wanted))
-    written = sections_of(path, "/**", "matcher", "discriminator", "/matcher", "/discriminator")
+    written = sections_of(
+        path, "/**", "matcher", "discriminator", "/matcher", "/discriminator"
+    )
     values = twin_values(str(path), wanted | written)
     try:
         settings = settings_from(values)
     except TwinmatchError as error:
         raise ParameterError(f"{path}: {error}") from error
     if plant and settings.plant is not plant_named(plant):
-        raise ParameterError(f"{path}: is for plant {settings.plant.name}, but the data are of plant {plant}")
+        raise ParameterError(
+            f"{path}: is for plant {settings.plant.name}, but the data are of plant {plant}"
+        )
     return settings
 
 
-def at_period(settings: TwinSettings, period: float, config: Path | None) -> TwinSettings:
+def at_period(
+    settings: TwinSettings, period: float, config: Path | None
+) -> TwinSettings:
     """The settings for a session's sampling period (s), which must agree with the file's.
 
     Raises:
@@ -413,7 +473,11 @@ def _plant(model: Model) -> tuple[Setting, ...]:
         for name, declared in model.declared.items()
     )
     return (
-        Setting("plant", written_name(plant), "The plant: its name, or the file that defines it."),
+        Setting(
+            "plant",
+            written_name(plant),
+            "The plant: its name, or the file that defines it.",
+        ),
         Setting(
             "structure",
             model.structure_name,
@@ -421,7 +485,10 @@ def _plant(model: Model) -> tuple[Setting, ...]:
             choices=tuple(plant.structures),
         ),
         Setting(
-            "free", list(structure.free), "Parameters that a match may change.", choices=tuple(model.names)
+            "free",
+            list(structure.free),
+            "Parameters that a match may change.",
+            choices=tuple(model.names),
         ),
         *starts,
         _noise("noise.output", "Noise of a reading (1 σ).", plant.outputs.values()),
@@ -445,13 +512,19 @@ def _numbers(has: TwinSettings) -> tuple[Setting, ...]:
     sensor = (
         ("noise", "Noise of the simulated sensor of the twin (1 σ).", names["y"]),
         ("resolution", "Resolution of its readings; 0: continuous.", names["y"]),
-        ("pause_period", "Time between two pauses, in which its reading stands still; 0: no pauses.", "s"),
+        (
+            "pause_period",
+            "Time between two pauses, in which its reading stands still; 0: no pauses.",
+            "s",
+        ),
         ("pause_duration", "Duration of a pause.", "s"),
     )
     return (
         *parameters_of(has.schedule, "schedule.", **names),
         *(
-            Setting(f"sensor.{name}", getattr(has.sensor, name) or 0.0, text, unit, 0.0, 1e6)
+            Setting(
+                f"sensor.{name}", getattr(has.sensor, name) or 0.0, text, unit, 0.0, 1e6
+            )
             for name, text, unit in sensor
         ),
         *parameters_of(has, **names),
@@ -464,13 +537,19 @@ def _numbers(has: TwinSettings) -> tuple[Setting, ...]:
 def _refuse_renamed(place: str, given_values: Mapping[str, Any]) -> None:
     for name, new_names in _RENAMED.items():
         if name in given_values:
-            raise ParameterError(f"{place}: {name} is now called {' and '.join(new_names)}; rename it")
+            raise ParameterError(
+                f"{place}: {name} is now called {' and '.join(new_names)}; rename it"
+            )
     for name, instead in _GONE.items():
         if name in given_values:
-            raise ParameterError(f"{place}: {name} is no longer used: {instead}; remove it")
+            raise ParameterError(
+                f"{place}: {name} is no longer used: {instead}; remove it"
+            )
 
 
-def _without_absent(place: str, given_values: Mapping[str, Any], model: Model) -> dict[str, Any]:
+def _without_absent(
+    place: str, given_values: Mapping[str, Any], model: Model
+) -> dict[str, Any]:
     """The given values without zeros for what the structure lacks: earlier versions left parts out so.
 
     Raises:
@@ -479,11 +558,17 @@ def _without_absent(place: str, given_values: Mapping[str, Any], model: Model) -
     remaining = dict(given_values)
     for name, value in given_values.items():
         parameter = name.removeprefix(_START)
-        if parameter == name or parameter in model.declared or parameter not in model.plant.parameters:
+        if (
+            parameter == name
+            or parameter in model.declared
+            or parameter not in model.plant.parameters
+        ):
             continue
         if value:
             plant = model.plant
-            having = [s for s in plant.structures if parameter in plant.model(s).declared]
+            having = [
+                s for s in plant.structures if parameter in plant.model(s).declared
+            ]
             absent = f"structure {model.structure_name!r} has no {parameter}"
             raise ParameterError(
                 f"{place}: parameter {name} is {value}, but {absent}; "
@@ -494,13 +579,24 @@ def _without_absent(place: str, given_values: Mapping[str, Any], model: Model) -
 
 
 def _translate(recorded: Mapping[str, Any]) -> dict[str, Any]:
-    translated = {name: value for name, value in recorded.items() if name not in {*_RENAMED, *_GONE}}
+    translated = {
+        name: value
+        for name, value in recorded.items()
+        if name not in {*_RENAMED, *_GONE}
+    }
     for old, names in _RENAMED.items():
         if old in recorded:
             translated |= dict.fromkeys(names, recorded[old])
     if "pid.limit" in recorded:
         translated["pid.low"] = -recorded["pid.limit"]
-    if "structure" not in translated and translated.get("plant", Peltier.name) == Peltier.name:
-        starts = {n.removeprefix(_START): v for n, v in translated.items() if n.startswith(_START)}
+    if (
+        "structure" not in translated
+        and translated.get("plant", Peltier.name) == Peltier.name
+    ):
+        starts = {
+            n.removeprefix(_START): v
+            for n, v in translated.items()
+            if n.startswith(_START)
+        }
         translated["structure"] = structure_of(Peltier, starts)
     return translated

@@ -27,7 +27,13 @@ from typing import Final
 
 from twinmatch.dynamics import Law, Plant, PlantError, channel
 from twinmatch.dynamics.definition import PlantType
-from twinmatch.dynamics.equations import PATIENCE, TooLongError, at_most, error_words, is_interrupt
+from twinmatch.dynamics.equations import (
+    PATIENCE,
+    TooLongError,
+    at_most,
+    error_words,
+    is_interrupt,
+)
 
 GROUP: Final = "twinmatch.plants"
 _MODULES: Final = "twinmatch_plant_file_"
@@ -61,7 +67,9 @@ def installed_plant(name: str) -> type[Plant] | None:
         msg = f"plant {name!r} of {package}: cannot be imported ({error_words(error)})"
         raise PlantError(msg) from error
     if not (isinstance(plant, type) and issubclass(plant, Plant)):
-        raise PlantError(f"plant {name!r} of {package}: {point.value} is not a Plant; declare the class")
+        raise PlantError(
+            f"plant {name!r} of {package}: {point.value} is not a Plant; declare the class"
+        )
     if plant.name != name:
         msg = f"plant {name!r} of {package}: its class is named {plant.name!r}; give both the same name"
         raise PlantError(msg)
@@ -89,7 +97,9 @@ def load_plant(name: str) -> type[Plant]:
     if path in _BY_FILE:
         return _BY_FILE[path]
     if not path.is_file():
-        raise PlantError(f"{name}: there is no such file (looked for {path}); give the file with the plant")
+        raise PlantError(
+            f"{name}: there is no such file (looked for {path}); give the file with the plant"
+        )
     if path.suffix != ".py":
         raise PlantError(f"{name}: is not a Python file; give one that ends in .py")
     plant = _plant_in(_run(path, name), name)
@@ -112,7 +122,9 @@ def load_law(name: str) -> Law:
     """
     path = Path(name).expanduser().resolve()
     if not path.is_file():
-        raise PlantError(f"{name}: there is no such file (looked for {path}); give the file with the law")
+        raise PlantError(
+            f"{name}: there is no such file (looked for {path}); give the file with the law"
+        )
     law = getattr(_run(path, name), "loop", None)
     if not isinstance(law, Law):
         raise PlantError(f"{name}: has no law; write one such as loop = PidGains(…)")
@@ -125,7 +137,9 @@ def loaded(name: str) -> type[Plant] | None:
         return _BY_NAME[name]
     if is_plant_file(name):
         file = name.replace("\\", "/").rpartition("/")[2]
-        return next((plant for path, plant in _BY_FILE.items() if path.name == file), None)
+        return next(
+            (plant for path, plant in _BY_FILE.items() if path.name == file), None
+        )
     return None
 
 
@@ -150,9 +164,11 @@ def _run(path: Path, name: str) -> ModuleType:
     if spec is None or spec.loader is None:
         raise PlantError(f"{name}: is not a Python module; give a file of Python code")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # the generator looks up the source of the equations there
+    # the generator looks up the source of the equations there
+    sys.modules[spec.name] = module
     beside = str(path.parent)
-    sys.path.append(beside)  # a plant may import tables and functions from files beside it
+    # a plant may import tables and functions from files beside it
+    sys.path.append(beside)
     try:
         with at_most():
             spec.loader.exec_module(module)
@@ -169,15 +185,23 @@ def _run(path: Path, name: str) -> ModuleType:
 def _plant_in(module: ModuleType, name: str) -> type[Plant]:
     plants = set()
     for value in vars(module).values():
-        if isinstance(value, type) and issubclass(value, Plant) and value.__module__ == module.__name__:
+        if (
+            isinstance(value, type)
+            and issubclass(value, Plant)
+            and value.__module__ == module.__name__
+        ):
             plants.add(value)
     bases = set(chain.from_iterable(plant.__mro__[1:] for plant in plants))
     last = sorted(plants - bases, key=attrgetter("__name__"))
     if not last:
-        raise PlantError(f"{name}: has no plant; write a class such as class Tank(Plant): …")
+        raise PlantError(
+            f"{name}: has no plant; write a class such as class Tank(Plant): …"
+        )
     if len(last) > 1:
         names = ", ".join(plant.__name__ for plant in last)
-        raise PlantError(f"{name}: has {len(last)} plants, {names}; give each its own file")
+        raise PlantError(
+            f"{name}: has {len(last)} plants, {names}; give each its own file"
+        )
     return last[0]
 
 
@@ -186,7 +210,10 @@ def _place(name: str, path: Path, error: BaseException) -> str:
     if isinstance(error, SyntaxError) and error.lineno is not None:
         return f"{name}, line {error.lineno}"
     frames = traceback.extract_tb(error.__traceback__)
-    line = next((frame.lineno for frame in reversed(frames) if frame.filename == str(path)), None)
+    line = next(
+        (frame.lineno for frame in reversed(frames) if frame.filename == str(path)),
+        None,
+    )
     return name if line is None else f"{name}, line {line}"
 
 
@@ -207,7 +234,10 @@ def _reduced(plant: type[Plant]) -> str | tuple[object, ...]:
     if plant.channel_of is not None:
         return channel, plant.channel_of
     if plant.__module__.startswith(_MODULES):
-        path = next((path for path, loaded_plant in _BY_FILE.items() if loaded_plant is plant), None)
+        path = next(
+            (path for path, loaded_plant in _BY_FILE.items() if loaded_plant is plant),
+            None,
+        )
         if path is not None:
             return load_plant, (str(path),)
     return plant.__qualname__

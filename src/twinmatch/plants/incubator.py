@@ -18,7 +18,16 @@ from __future__ import annotations
 
 from typing import Final
 
-from twinmatch.dynamics import Disturbance, Drive, Equations, Output, Parameter, Plant, State, Structure
+from twinmatch.dynamics import (
+    Disturbance,
+    Drive,
+    Equations,
+    Output,
+    Parameter,
+    Plant,
+    State,
+    Structure,
+)
 
 _BED = "heat bed"
 _BOX = "box with mass"
@@ -32,7 +41,7 @@ class Incubator(Plant, name="incubator"):
 
     title = "Incubator"
     surroundings = "lid, fan and room"
-    typical = {  # noqa: RUF012 (a constant mapping, not state)
+    typical = {  # noqa: RUF012
         "bed_heat_capacity": 240.0,
         "bed_conductance": 2.0,
         "box_conductance": 0.9,
@@ -53,12 +62,28 @@ class Incubator(Plant, name="incubator"):
         symbol="u",
         text="heat bed: off (0), on (1) or in between",
     )
-    room = Disturbance(unit="°C", default=21.0, symbol="T_∞", text="temperature of the room")
+    room = Disturbance(
+        unit="°C", default=21.0, symbol="T_∞", text="temperature of the room"
+    )
 
     air = State(unit="°C", span=(-20.0, 90.0), text="air in the box", symbol="T_A")
-    bed = State(unit="°C", span=(-20.0, 250.0), start_bounds=(0.0, 150.0), text="heat bed", symbol="T_H")
-    box = State(unit="°C", span=(-20.0, 90.0), scale=5.0, text="walls and contents of the box", symbol="T_B")
-    seen = State(unit="°C", span=(-20.0, 90.0), text="temperature at the sensors", symbol="T_S")
+    bed = State(
+        unit="°C",
+        span=(-20.0, 250.0),
+        start_bounds=(0.0, 150.0),
+        text="heat bed",
+        symbol="T_H",
+    )
+    box = State(
+        unit="°C",
+        span=(-20.0, 90.0),
+        scale=5.0,
+        text="walls and contents of the box",
+        symbol="T_B",
+    )
+    seen = State(
+        unit="°C", span=(-20.0, 90.0), text="temperature at the sensors", symbol="T_S"
+    )
 
     power = Parameter(
         unit="W",
@@ -93,7 +118,12 @@ class Incubator(Plant, name="incubator"):
         text="conductance from the box to the room",
     )  # fmt: skip
     sensor_lag = Parameter(
-        unit="s", default=5.0, bounds=(0.5, 120.0), positive=True, symbol="τ", text="lag of the sensors"
+        unit="s",
+        default=5.0,
+        bounds=(0.5, 120.0),
+        positive=True,
+        symbol="τ",
+        text="lag of the sensors",
     )
 
     followed = "box with mass"
@@ -162,5 +192,8 @@ class Incubator(Plant, name="incubator"):
             rates[measured] = (self.air - measured) / self.sensor_lag
             start[measured] = self.temperature
         return Equations(
-            rates=rates, output=measured, start=start, quantities={"given": to_air, "lost": lost}
+            rates=rates,
+            output=measured,
+            start=start,
+            quantities={"given": to_air, "lost": lost},
         )

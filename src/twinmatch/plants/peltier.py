@@ -87,22 +87,49 @@ class Peltier(Plant, name="peltier"):
         absolute=KELVIN, text="plate temperature", symbol="y", sensor="camera",
     )  # fmt: skip
     # Below 0 °C the plate ices; the module's solder softens at 138 °C, and the loop overshoots.
-    pwm = Drive(unit="PWM", limits=(-COUNTS, COUNTS), noise=7.0, text="PWM, positive heats", symbol="u")
+    pwm = Drive(
+        unit="PWM",
+        limits=(-COUNTS, COUNTS),
+        noise=7.0,
+        text="PWM, positive heats",
+        symbol="u",
+    )
 
     plate = State(unit="K", span=(250.0, 400.0), text="plate (side A)", symbol="T_A")
     sink = State(
-        unit="K", span=(250.0, 400.0), start_bounds=(253.0, 393.0), text="heat sink (side B)", symbol="T_B"
+        unit="K",
+        span=(250.0, 400.0),
+        start_bounds=(253.0, 393.0),
+        text="heat sink (side B)",
+        symbol="T_B",
     )
-    sensor_state = State(unit="K", span=(250.0, 400.0), text="temperature at the camera", symbol="T_C")
+    sensor_state = State(
+        unit="K", span=(250.0, 400.0), text="temperature at the camera", symbol="T_C"
+    )
 
     seebeck = Parameter(
-        unit="V/K", default=0.075, bounds=(0.01, 0.2), least=0.0, symbol="α", text="Seebeck coefficient"
+        unit="V/K",
+        default=0.075,
+        bounds=(0.01, 0.2),
+        least=0.0,
+        symbol="α",
+        text="Seebeck coefficient",
     )
     resistance = Parameter(
-        unit="Ω", default=3.3, bounds=(0.5, 10.0), positive=True, symbol="R", text="electrical resistance"
+        unit="Ω",
+        default=3.3,
+        bounds=(0.5, 10.0),
+        positive=True,
+        symbol="R",
+        text="electrical resistance",
     )
     conductance = Parameter(
-        unit="W/K", default=0.35, bounds=(0.0, 2.0), least=0.0, symbol="K", text="thermal conductance"
+        unit="W/K",
+        default=0.35,
+        bounds=(0.0, 2.0),
+        least=0.0,
+        symbol="K",
+        text="thermal conductance",
     )
     heat_capacity = Parameter(
         unit="J/K", default=15.0, bounds=(5.0, 150.0), scale=30.0, positive=True, symbol="C",
@@ -133,17 +160,32 @@ class Peltier(Plant, name="peltier"):
         text="share of the bridge's switching ripple that reaches the module",
     )  # fmt: skip
     supply = Parameter(
-        unit="V", default=12.0, bounds=(3.0, 24.0), positive=True, symbol="V_S", text="bridge voltage"
+        unit="V",
+        default=12.0,
+        bounds=(3.0, 24.0),
+        positive=True,
+        symbol="V_S",
+        text="bridge voltage",
     )
     bridge_resistance = Parameter(
-        unit="Ω", default=0.1, bounds=(0.0, 2.0), least=0.0, symbol="R_B", text="resistance of the bridge"
+        unit="Ω",
+        default=0.1,
+        bounds=(0.0, 2.0),
+        least=0.0,
+        symbol="R_B",
+        text="resistance of the bridge",
     )
     current_limit = Parameter(
-        unit="A", default=5.0, bounds=(0.5, 10.0), positive=True, symbol="L", text="current limit"
+        unit="A",
+        default=5.0,
+        bounds=(0.5, 10.0),
+        positive=True,
+        symbol="L",
+        text="current limit",
     )
 
     followed = "sink with mass, free ambient, free ripple"
-    structures = {  # noqa: RUF012 (a constant mapping, not state)
+    structures = {  # noqa: RUF012
         "held sink": Structure(
             free=_PLATE,
             starts=(
@@ -155,9 +197,13 @@ class Peltier(Plant, name="peltier"):
         "held sink, free ambient": _structure(_ROOM),
         "held sink, free ambient, switched drive": _structure(_ROOM, switched=True),
         "sink with mass": _structure(_SINK, (_MASS,), room=296.0, watched=True),
-        "sink with mass, sensor lag": _structure((*_SINK, "sensor_lag"), (_MASS, _LAG), room=296.0),
+        "sink with mass, sensor lag": _structure(
+            (*_SINK, "sensor_lag"), (_MASS, _LAG), room=296.0
+        ),
         "sink with mass, free ambient": _structure(_BOTH, (_MASS,), watched=True),
-        "sink with mass, switched drive": _structure(_SINK, (_MASS,), switched=True, room=296.0),
+        "sink with mass, switched drive": _structure(
+            _SINK, (_MASS,), switched=True, room=296.0
+        ),
         "sink with mass, free ambient, switched drive": _structure(
             _BOTH, (_MASS,), switched=True, watched=True
         ),
@@ -172,7 +218,9 @@ class Peltier(Plant, name="peltier"):
             (*_BOTH, "seebeck_slope"), (_MASS, _SLOPE), switched=True
         ),
         "sink with mass, free ambient, switched drive, sensor lag, α(T)": _structure(
-            (*_BOTH, "sensor_lag", "seebeck_slope"), (_MASS, _LAG, _SLOPE), switched=True
+            (*_BOTH, "sensor_lag", "seebeck_slope"),
+            (_MASS, _LAG, _SLOPE),
+            switched=True,
         ),
     }
 
@@ -200,7 +248,9 @@ class Peltier(Plant, name="peltier"):
         free_current = (-bridge - seebeck * (sink - plate)) / loop_resistance
         current = limited(free_current, -self.current_limit, self.current_limit)
         # An unsmoothed bridge lets the current swing about its mean, which adds Joule heat.
-        swing = magnitude(bridge) * (self.supply - magnitude(bridge)) / loop_resistance**2
+        swing = (
+            magnitude(bridge) * (self.supply - magnitude(bridge)) / loop_resistance**2
+        )
         ripple = self.resistance * self.drive_ripple * swing / 2
 
         # Thermal domain (equations 1 and 2).

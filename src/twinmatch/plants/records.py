@@ -14,12 +14,24 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, NoReturn
 
 from twinmatch.description import Description, Quantity
-from twinmatch.dynamics import Parameter, Parameters, Plant, PlantError, State, Structure, StructureLostError
+from twinmatch.dynamics import (
+    Parameter,
+    Parameters,
+    Plant,
+    PlantError,
+    State,
+    Structure,
+    StructureLostError,
+)
 from twinmatch.plants import Peltier, plant_named
 
 MARK: Final = re.compile(r" \(FMU [0-9a-f]{8}\)$")
 _ANYTHING: Final = (-1e300, 1e300)
-_PARTS: Final = {"sink_heat_capacity": "sink with mass", "sensor_lag": "sensor lag", "seebeck_slope": "α(T)"}
+_PARTS: Final = {
+    "sink_heat_capacity": "sink with mass",
+    "sensor_lag": "sensor lag",
+    "seebeck_slope": "α(T)",
+}
 """The part that each of these values implies, in records without a structure."""
 
 
@@ -47,14 +59,21 @@ def stand_in(plant: type[Plant], structure: str, names: Sequence[str]) -> None:
     Raises:
         PlantError: a structure of the plant's file has that name.
     """
-    plant.adopt(structure, Structure(free=(), watched=False, external=_Absent(plant, structure, names)))
+    plant.adopt(
+        structure,
+        Structure(free=(), watched=False, external=_Absent(plant, structure, names)),
+    )
 
 
 class _Absent:
     """The source of such a structure."""
 
-    def __init__(self, plant: type[Plant], structure: str, names: Sequence[str]) -> None:
-        self.lost = f"{structure} is not loaded in this process; load its FMU with --allow-fmu"
+    def __init__(
+        self, plant: type[Plant], structure: str, names: Sequence[str]
+    ) -> None:
+        self.lost = (
+            f"{structure} is not loaded in this process; load its FMU with --allow-fmu"
+        )
         self.states: Mapping[str, State] = {}
         self.parameters: Mapping[str, Parameter] = {
             name: Parameter(default=0.0, bounds=_ANYTHING, text=name)
@@ -63,7 +82,7 @@ class _Absent:
         }
         self._kernels = _NoKernels(tuple(names), self.lost)
 
-    def kernels_by(self, unknown: Iterable[str]) -> Any:  # noqa: ARG002 (it has none)
+    def kernels_by(self, unknown: Iterable[str]) -> Any:  # noqa: ARG002
         """Names without kernels."""
         return self._kernels
 
@@ -84,7 +103,9 @@ class _NoKernels:
         raise StructureLostError(self._why)
 
 
-def parameters_from(plant: str, structure: str, values: Mapping[str, float]) -> Parameters:
+def parameters_from(
+    plant: str, structure: str, values: Mapping[str, float]
+) -> Parameters:
     """The parameters of a record, by name.
 
     Without a structure, the values imply the parts: so in records from before plants had structures, when the
@@ -100,7 +121,11 @@ def parameters_from(plant: str, structure: str, values: Mapping[str, float]) -> 
             stand_in(kind, structure, tuple(values))
         return kind.model(structure).parameters(**values)
     model = kind.model(structure_of(kind, values))
-    known_values = {n: v for n, v in values.items() if n in model.declared or n not in kind.parameters}
+    known_values = {
+        n: v
+        for n, v in values.items()
+        if n in model.declared or n not in kind.parameters
+    }
     if math.isinf(known_values.get("sink_heat_capacity", 0.0)):
         known_values["sink_heat_capacity"] = _WITHOUT_EFFECT.sink_heat_capacity
     if not known_values.get("sensor_lag", 1.0):
@@ -117,7 +142,9 @@ def structure_of(plant: type[Plant], values: Mapping[str, float]) -> str:
         for name, part in _PARTS.items()
         if part in plant.parts and values.get(name) and math.isfinite(values[name])
     }
-    having = (name for name, structure in plant.structures.items() if parts <= structure.parts)
+    having = (
+        name for name, structure in plant.structures.items() if parts <= structure.parts
+    )
     return next(having, next(iter(plant.structures)))
 
 
@@ -139,9 +166,15 @@ def description_of(plant: type[Plant]) -> Description:
             for y in outputs
         ),
         outputs=tuple(Quantity(y.name, y.text, y.unit, *y.span) for y in outputs),
-        inputs=tuple(Quantity(u.name, u.text, u.unit, *u.limits) for u in plant.drives.values()),
-        disturbances=tuple(Quantity(d.name, d.text, d.unit) for d in plant.disturbances.values()),
-        states=tuple(Quantity(s.name, s.text, s.unit, *s.span) for s in plant.states.values()),
+        inputs=tuple(
+            Quantity(u.name, u.text, u.unit, *u.limits) for u in plant.drives.values()
+        ),
+        disturbances=tuple(
+            Quantity(d.name, d.text, d.unit) for d in plant.disturbances.values()
+        ),
+        states=tuple(
+            Quantity(s.name, s.text, s.unit, *s.span) for s in plant.states.values()
+        ),
         structures=tuple(plant.structures),
     )
 
@@ -163,7 +196,13 @@ def named(parameters: Parameters | None) -> Named:
     if parameters is None:
         return Named()
     plant, structure = parameters.model.key
-    return Named(plant, structure, tuple(parameters), tuple(parameters.values()), parameters.units)
+    return Named(
+        plant,
+        structure,
+        tuple(parameters),
+        tuple(parameters.values()),
+        parameters.units,
+    )
 
 
 def parameters_of(
@@ -180,4 +219,6 @@ def parameters_of(
     if len(names) != len(values):
         msg = f"parameters: {len(names)} names with {len(values)} values; give one value for each name"
         raise PlantError(msg)
-    return parameters_from(plant, structure, dict(zip(names, map(float, values), strict=True)))
+    return parameters_from(
+        plant, structure, dict(zip(names, map(float, values), strict=True))
+    )

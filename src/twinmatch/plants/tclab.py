@@ -69,7 +69,9 @@ _LAGGED: Final = (*_HEATER, "sensor_lag")
 _BOTH: Final = (*_LAGGED, "exchange")
 
 
-def _structure(free: tuple[str, ...], *parts: str, watched: bool = True, text: str = "") -> Structure:
+def _structure(
+    free: tuple[str, ...], *parts: str, watched: bool = True, text: str = ""
+) -> Structure:
     return Structure(
         free=free,
         parts=frozenset(parts),
@@ -95,34 +97,65 @@ class TCLab(Plant, name="tclab"):
         absolute=KELVIN, text="temperature T1", symbol="T₁", sensor="kit",
     )  # fmt: skip
     # The sensor is specified for −40 to 125 °C, and reads −50 °C if its wire is off. Above 75 °C skin burns.
-    power = Drive(unit="%", limits=(0.0, 100.0), noise=2.0, text="heater 1", symbol="Q₁")
+    power = Drive(
+        unit="%", limits=(0.0, 100.0), noise=2.0, text="heater 1", symbol="Q₁"
+    )
     second = Disturbance(unit="%", default=0.0, text="heater 2", symbol="Q₂")
 
-    heater = State(unit="K", span=(263.0, 423.0), start_bounds=(263.0, 423.0), text="heater 1", symbol="T_H1")
-    neighbour = State(
-        unit="K", span=(263.0, 423.0), start_bounds=(263.0, 423.0), text="heater 2", symbol="T_H2"
+    heater = State(
+        unit="K",
+        span=(263.0, 423.0),
+        start_bounds=(263.0, 423.0),
+        text="heater 1",
+        symbol="T_H1",
     )
-    sensor_state = State(unit="K", span=(263.0, 423.0), text="temperature of the sensor", symbol="T_C1")
+    neighbour = State(
+        unit="K",
+        span=(263.0, 423.0),
+        start_bounds=(263.0, 423.0),
+        text="heater 2",
+        symbol="T_H2",
+    )
+    sensor_state = State(
+        unit="K", span=(263.0, 423.0), text="temperature of the sensor", symbol="T_C1"
+    )
 
     # Two states follow it well enough behind the lag, in half the time of four.
-    acting = DeadTime(unit="%", span=(0.0, 100.0), order=2, text="power that acts on heater 1")
+    acting = DeadTime(
+        unit="%", span=(0.0, 100.0), order=2, text="power that acts on heater 1"
+    )
 
     losses = Parameter(
         unit="W/(m² K)", default=6.0, bounds=(1.0, 60.0), scale=5.0, least=0.0, role="losses", symbol="U",
         text="convection to the room",
     )  # fmt: skip
     heating = Parameter(
-        unit="W/%", default=0.01, bounds=(0.001, 0.05), positive=True, symbol="α₁", text="power of heater 1"
+        unit="W/%",
+        default=0.01,
+        bounds=(0.001, 0.05),
+        positive=True,
+        symbol="α₁",
+        text="power of heater 1",
     )
     ambient = Parameter(
         unit="K", default=296.0, bounds=(263.0, 323.0), scale=10.0, least=150.0, most=600.0, relative=False,
         role="room", symbol="T_∞", text="temperature of the room",
     )  # fmt: skip
     sensor_lag = Parameter(
-        unit="s", default=15.0, bounds=(1.0, 60.0), positive=True, symbol="τ", text="lag of the sensor"
+        unit="s",
+        default=15.0,
+        bounds=(1.0, 60.0),
+        positive=True,
+        symbol="τ",
+        text="lag of the sensor",
     )
     dead_time = Parameter(
-        unit="s", default=6.0, bounds=(2.0, 30.0), positive=True, symbol="θ", text="dead time of a heater"
+        unit="s",
+        default=6.0,
+        bounds=(2.0, 30.0),
+        positive=True,
+        symbol="θ",
+        text="dead time of a heater",
     )
     exchange = Parameter(
         unit="W/(m² K)", default=10.0, bounds=(0.0, 200.0), scale=10.0, least=0.0, symbol="U_S",
@@ -142,16 +175,22 @@ class TCLab(Plant, name="tclab"):
     )
 
     followed = "sensor lag"
-    structures = {  # noqa: RUF012 (a constant mapping, not state)
-        "sensor lag": _structure(_LAGGED, _LAG, text="one heater with proportional heat loss"),
-        "no lag": _structure(_HEATER, watched=False, text="the same without sensor lag"),
+    structures = {  # noqa: RUF012
+        "sensor lag": _structure(
+            _LAGGED, _LAG, text="one heater with proportional heat loss"
+        ),
+        "no lag": _structure(
+            _HEATER, watched=False, text="the same without sensor lag"
+        ),
         "radiation": _structure(_HEATER, _RADIATION, watched=False),
         "sensor lag, radiation": _structure(_LAGGED, _LAG, _RADIATION),
         "sensor lag, neighbour": _structure(_BOTH, _LAG, _NEIGHBOUR),
         "sensor lag, radiation, neighbour": _structure(
             _BOTH, _LAG, _RADIATION, _NEIGHBOUR, text="the published balance"
         ),
-        "sensor lag, dead time": _structure((*_LAGGED, "dead_time"), _LAG, _DEAD, watched=False),
+        "sensor lag, dead time": _structure(
+            (*_LAGGED, "dead_time"), _LAG, _DEAD, watched=False
+        ),
         "sensor lag, radiation, neighbour, dead time": _structure(
             (*_BOTH, "dead_time"), _LAG, _RADIATION, _NEIGHBOUR, _DEAD, watched=False
         ),
@@ -179,11 +218,18 @@ class TCLab(Plant, name="tclab"):
         neighbour = self.neighbour
         reading = self.temperature + KELVIN
 
-        def gained(temperature: Any, surroundings: Any, area: float, convection: Any) -> Any:
+        def gained(
+            temperature: Any, surroundings: Any, area: float, convection: Any
+        ) -> Any:
             """Heat gained from a body at another temperature through a surface."""
             heat = convection * area * (surroundings - temperature)
             if _RADIATION in parts:
-                heat += _SURFACE.emissivity * _STEFAN_BOLTZMANN * area * (surroundings**4 - temperature**4)
+                heat += (
+                    _SURFACE.emissivity
+                    * _STEFAN_BOLTZMANN
+                    * area
+                    * (surroundings**4 - temperature**4)
+                )
             return heat
 
         lost = -gained(heater, self.ambient, _SURFACE.to_room, self.losses)
@@ -200,7 +246,9 @@ class TCLab(Plant, name="tclab"):
             crossing = gained(heater, neighbour, _SURFACE.to_neighbour, self.exchange)
             into += crossing
             room = gained(neighbour, self.ambient, _SURFACE.to_room, self.losses)
-            rates[neighbour] = (self.second_heating * self.second + room - crossing) / self.heat_capacity
+            rates[neighbour] = (
+                self.second_heating * self.second + room - crossing
+            ) / self.heat_capacity
             start[neighbour] = self.ambient
         rates[heater] = into / self.heat_capacity
         measured = heater
@@ -221,7 +269,9 @@ def _whole(*parts: str, watched: bool = True, text: str = "") -> Structure:
     free = (*(_LAGGED if _LAG in parts else _HEATER), "exchange", "second_heating")
     free += ("dead_time",) if _DEAD in parts else ()
     starts = ("heater", "neighbour") if _LAG in parts else ()
-    return replace(_structure(free, *parts, watched=watched, text=text), free_starts=starts)
+    return replace(
+        _structure(free, *parts, watched=watched, text=text), free_starts=starts
+    )
 
 
 class TCLabBoth(TCLab, name="tclab-both"):
@@ -233,19 +283,29 @@ class TCLabBoth(TCLab, name="tclab-both"):
     followed = "sensor lags, radiation"
     loop = PidLoops.of(TCLab.loop, TCLab.loop)  # type: ignore[assignment]
 
-    second = Drive(unit="%", limits=(0.0, 100.0), noise=2.0, text="heater 2", symbol="Q₂")
+    second = Drive(
+        unit="%", limits=(0.0, 100.0), noise=2.0, text="heater 2", symbol="Q₂"
+    )
     second_temperature = Output(
         unit="°C", noise=0.12, span=(-45.0, 130.0), set_points=(25.0, 70.0), safe=(0.0, 75.0),
         absolute=KELVIN, text="temperature T2", symbol="T₂", sensor="kit",
     )  # fmt: skip
-    second_sensor = State(unit="K", span=(263.0, 423.0), text="temperature of sensor 2", symbol="T_C2")
-    second_acting = DeadTime(unit="%", span=(0.0, 100.0), order=2, text="power that acts on heater 2")
+    second_sensor = State(
+        unit="K", span=(263.0, 423.0), text="temperature of sensor 2", symbol="T_C2"
+    )
+    second_acting = DeadTime(
+        unit="%", span=(0.0, 100.0), order=2, text="power that acts on heater 2"
+    )
 
-    structures = {  # noqa: RUF012 (a constant mapping, not state)
+    structures = {  # noqa: RUF012
         "sensor lags": _whole(_LAG, text="both heaters, proportional losses"),
-        "sensor lags, radiation": _whole(_LAG, _RADIATION, text="the published balance"),
+        "sensor lags, radiation": _whole(
+            _LAG, _RADIATION, text="the published balance"
+        ),
         "no lags": _whole(watched=False),
-        "sensor lags, radiation, dead time": _whole(_LAG, _RADIATION, _DEAD, watched=False),
+        "sensor lags, radiation, dead time": _whole(
+            _LAG, _RADIATION, _DEAD, watched=False
+        ),
     }
 
     def equations(self, parts: frozenset[str]) -> Equations:
@@ -257,12 +317,19 @@ class TCLabBoth(TCLab, name="tclab-both"):
         measured = self.neighbour
         if _DEAD in parts:
             arrives = self.second_acting.after(self.second, self.dead_time)
-            rates[self.neighbour] = rates[self.neighbour].subs(self.second, arrives.value)
+            rates[self.neighbour] = rates[self.neighbour].subs(
+                self.second, arrives.value
+            )
             rates |= arrives.rates
             start |= arrives.start
         if _LAG in parts:
             measured = self.second_sensor
             rates[measured] = (self.neighbour - measured) / self.sensor_lag
             start[measured] = reading
-        output = {self.temperature: of_first.output, self.second_temperature: measured - KELVIN}
-        return Equations(rates=rates, output=output, start=start, quantities=of_first.quantities)
+        output = {
+            self.temperature: of_first.output,
+            self.second_temperature: measured - KELVIN,
+        }
+        return Equations(
+            rates=rates, output=output, start=start, quantities=of_first.quantities
+        )

@@ -120,11 +120,17 @@ def _fields_of(owner: Any) -> tuple[RecordField, ...]:
     hints = get_type_hints(owner, include_extras=True)
     columns: dict[str, int] = dict.fromkeys(getattr(owner, "_fields", ()), 0)
     if dataclasses.is_dataclass(owner):
-        columns = {f.name: f.metadata.get("columns", 0) for f in dataclasses.fields(owner)}
+        columns = {
+            f.name: f.metadata.get("columns", 0) for f in dataclasses.fields(owner)
+        }
     fields = [_field(owner, name, hints[name], wide) for name, wide in columns.items()]
     for name in getattr(owner, "DERIVED", ()):
-        returned = get_type_hints(getattr(owner, name).fget, include_extras=True)["return"]
-        fields.append(dataclasses.replace(_field(owner, name, returned, 0), is_derived=True))
+        returned = get_type_hints(getattr(owner, name).fget, include_extras=True)[
+            "return"
+        ]
+        fields.append(
+            dataclasses.replace(_field(owner, name, returned, 0), is_derived=True)
+        )
     return tuple(fields)
 
 
@@ -134,15 +140,28 @@ def values_name(name: str) -> str:
 
 
 def _field(owner: type, name: str, declared: Any, columns: int) -> RecordField:
-    hint, *remarks = get_args(declared) if get_origin(declared) is Annotated else (declared,)
+    hint, *remarks = (
+        get_args(declared) if get_origin(declared) is Annotated else (declared,)
+    )
     requirements = tuple(remark for remark in remarks if hasattr(remark, "problem"))
     sent = next((remark for remark in remarks if isinstance(remark, SentAs)), _AS_HERE)
-    rows = next((requirement.field for requirement in requirements if isinstance(requirement, RowsOf)), "")
-    plant = next((remark.parameters for remark in remarks if isinstance(remark, OfPlant)), "")
+    rows = next(
+        (
+            requirement.field
+            for requirement in requirements
+            if isinstance(requirement, RowsOf)
+        ),
+        "",
+    )
+    plant = next(
+        (remark.parameters for remark in remarks if isinstance(remark, OfPlant)), ""
+    )
     unless_none, optional = _unless_none(hint)
     form, kind = _form_of(owner, hint, unless_none, sent)
     if form is None:
-        raise RecordError(f"record: {owner.__name__}.{name} is of type {hint}, which is not recorded")
+        raise RecordError(
+            f"record: {owner.__name__}.{name} is of type {hint}, which is not recorded"
+        )
     has_prefix = form is Form.INLINE and (_is_named_tuple(kind) or sent.is_first_bare)
     return RecordField(
         name,
@@ -158,7 +177,9 @@ def _field(owner: type, name: str, declared: Any, columns: int) -> RecordField:
     )
 
 
-def _form_of(owner: type, hint: Any, kind: Any, sent: SentAs) -> tuple[Form | None, Any]:
+def _form_of(
+    owner: type, hint: Any, kind: Any, sent: SentAs
+) -> tuple[Form | None, Any]:
     """The form of a field with this type, and the type of its value or elements; None: it is not recorded.
 
     `kind` is the type without None.
@@ -223,4 +244,6 @@ def _unless_none(hint: Any) -> tuple[Any, bool]:
 
 
 def _is_named_tuple(hint: Any) -> bool:
-    return isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields")
+    return (
+        isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields")
+    )

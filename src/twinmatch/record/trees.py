@@ -18,7 +18,14 @@ from twinmatch.description import Description
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants import records
-from twinmatch.record.fields import SAMPLED, Form, RecordError, RecordField, fields_of, values_name
+from twinmatch.record.fields import (
+    SAMPLED,
+    Form,
+    RecordError,
+    RecordField,
+    fields_of,
+    values_name,
+)
 from twinmatch.signals import NANOSECONDS, SignalError, Window, point_of, point_values
 
 Tree = dict[str, Any]
@@ -44,14 +51,20 @@ def object_of(kind: type[Recorded], tree: Tree) -> Recorded:
         TwinmatchError: the parameters cannot be used.
     """
     try:
-        values = {f.name: _READERS[f.form](f, tree) for f in fields_of(kind) if not f.is_derived}
+        values = {
+            f.name: _READERS[f.form](f, tree)
+            for f in fields_of(kind)
+            if not f.is_derived
+        }
     except KeyError as error:
         msg = f"record: a {kind.__name__} lacks {error.args[0]}; it was recorded by another version"
         raise RecordError(msg) from error
     except TwinmatchError:
         raise
     except (ValueError, OverflowError) as error:
-        raise RecordError(f"record: a {kind.__name__} cannot be read: {error}") from error
+        raise RecordError(
+            f"record: a {kind.__name__} cannot be read: {error}"
+        ) from error
     return kind(**values)
 
 
@@ -64,7 +77,9 @@ def document_of(record: Any) -> dict[str, Any]:
     for field in fields_of(type(record)):
         value = getattr(record, field.name)
         if field.form is Form.PLAIN:  # most are
-            document[field.name] = None if isinstance(value, float) and not math.isfinite(value) else value
+            document[field.name] = (
+                None if isinstance(value, float) and not math.isfinite(value) else value
+            )
         else:
             document.update(_entries(field, value))
     return document
@@ -85,7 +100,12 @@ def fill(message: Any, tree: Tree, part: Callable[[str], Any]) -> Any:
         if isinstance(value, dict):
             fill(getattr(message, name), value, part)
         elif isinstance(value, list) and value and isinstance(value[0], dict):
-            kind = kinds[name].removeprefix("sequence<").removesuffix(">").rpartition("/")[2]
+            kind = (
+                kinds[name]
+                .removeprefix("sequence<")
+                .removesuffix(">")
+                .rpartition("/")[2]
+            )
             setattr(message, name, [fill(part(kind), item, part) for item in value])
         else:
             setattr(message, name, float(value) if kinds[name] == "double" else value)
@@ -97,7 +117,9 @@ def fill(message: Any, tree: Tree, part: Callable[[str], Any]) -> Any:
 
 def tree_of_message(message: Any) -> Tree:
     """A message as a tree, with only `stamp` (ns) of the header and only the word of a level or status."""
-    names = [name.removeprefix("_") for name in message.__slots__ if name != "_check_fields"]
+    names = [
+        name.removeprefix("_") for name in message.__slots__ if name != "_check_fields"
+    ]
     tree: Tree = {}
     for name in names:
         value = getattr(message, name)
@@ -116,12 +138,17 @@ def description_tree(description: Description, period: float) -> Tree:
 def parameters_tree(parameters: Parameters | None) -> dict[str, Any]:
     """The parameters as in a message; for None without names."""
     fields = records.named(parameters)._asdict()
-    return {key: value if isinstance(value, str) else list(value) for key, value in fields.items()}
+    return {
+        key: value if isinstance(value, str) else list(value)
+        for key, value in fields.items()
+    }
 
 
 def parameters_of(tree: Mapping[str, Any]) -> Parameters | None:
     """The parameters of such a tree; None if it has none."""
-    return records.parameters_of(tree["plant"], tree["structure"], tree["names"], tree["values"])
+    return records.parameters_of(
+        tree["plant"], tree["structure"], tree["names"], tree["values"]
+    )
 
 
 def _absent_part(kind: type) -> Tree:
@@ -133,13 +160,22 @@ def _bands_tree(field: RecordField, bands: Sequence[Any]) -> Tree:
     """A table for each field of the bands, row by row."""
     tree: Tree = {}
     for name, key in field.columns_of_bands.items():
-        tree[key] = np.stack([getattr(band, name) for band in bands], axis=1).ravel().tolist()
+        tree[key] = (
+            np.stack([getattr(band, name) for band in bands], axis=1).ravel().tolist()
+        )
     return tree
 
 
 def _window_tree(window: Window) -> Tree:
-    signals = {name: getattr(window, field).ravel().tolist() for name, field in SAMPLED.items()}
-    return {**signals, "first": window.first, "period": window.period, "lost": list(window.lost)}
+    signals = {
+        name: getattr(window, field).ravel().tolist() for name, field in SAMPLED.items()
+    }
+    return {
+        **signals,
+        "first": window.first,
+        "period": window.period,
+        "lost": list(window.lost),
+    }
 
 
 _WRITERS: Final[dict[Form, Callable[[RecordField, Any], Tree]]] = {
@@ -156,7 +192,9 @@ _WRITERS: Final[dict[Form, Callable[[RecordField, Any], Tree]]] = {
     Form.PARTS: lambda f, v: {f.key: [tree_of(item) for item in v]},
     Form.BANDS: _bands_tree,
     Form.WINDOW: lambda _, v: _window_tree(v),
-    Form.INLINE: lambda f, v: {f.key_inside(key): item for key, item in tree_of(v).items()},
+    Form.INLINE: lambda f, v: {
+        f.key_inside(key): item for key, item in tree_of(v).items()
+    },
 }
 """How a field of each form is written into a tree."""
 
@@ -174,7 +212,9 @@ def _read_word(field: RecordField, tree: Tree) -> Any:
         return field.kind(word)
     except ValueError as error:
         expected = ", ".join(member.value for member in field.kind)
-        raise RecordError(f"record: {word!r} is unknown; expected one of {expected}") from error
+        raise RecordError(
+            f"record: {word!r} is unknown; expected one of {expected}"
+        ) from error
 
 
 def _read_array(field: RecordField, tree: Tree, columns: int) -> Any:
@@ -199,7 +239,9 @@ def _read_part(field: RecordField, tree: Tree) -> Any:
 
 def _read_inline(field: RecordField, tree: Tree) -> Any:
     prefix = field.prefix
-    inside = {k.removeprefix(prefix): v for k, v in tree.items() if k.startswith(prefix)}
+    inside = {
+        k.removeprefix(prefix): v for k, v in tree.items() if k.startswith(prefix)
+    }
     if field.sent.is_first_bare:
         inside[fields_of(field.kind)[0].key] = tree[field.key]
     return object_of(field.kind, inside)
@@ -207,7 +249,10 @@ def _read_inline(field: RecordField, tree: Tree) -> Any:
 
 def _read_bands(field: RecordField, tree: Tree) -> Any:
     rows = len(tree[field.rows])
-    tables = [np.array(tree[key]).reshape(rows, -1).T for key in field.columns_of_bands.values()]
+    tables = [
+        np.array(tree[key]).reshape(rows, -1).T
+        for key in field.columns_of_bands.values()
+    ]
     return tuple(field.kind(*columns) for columns in zip(*tables, strict=True))
 
 
@@ -237,11 +282,15 @@ _READERS: Final[dict[Form, Callable[[RecordField, Tree], Any]]] = {
     Form.PLAIN: _read_plain,
     Form.WORD: _read_word,
     Form.LIST: lambda f, tree: tuple(f.kind(item) for item in tree[f.key]),
-    Form.ROWS: lambda f, tree: tuple(tuple(row) for row in _read_array(f, tree, -1).tolist()),
+    Form.ROWS: lambda f, tree: tuple(
+        tuple(row) for row in _read_array(f, tree, -1).tolist()
+    ),
     Form.ARRAY: lambda f, tree: _read_array(f, tree, f.columns),
     Form.POINT: lambda f, tree: point_of(tree[f.key]),
     Form.SPAN: lambda _, tree: (int(tree["first"]), int(tree["last"])),
-    Form.NAMED: lambda f, tree: dict(zip(tree[f.key], tree[values_name(f.key)], strict=True)),
+    Form.NAMED: lambda f, tree: dict(
+        zip(tree[f.key], tree[values_name(f.key)], strict=True)
+    ),
     Form.PARAMETERS: _read_parameters,
     Form.PART: _read_part,
     Form.PARTS: lambda f, tree: tuple(object_of(f.kind, item) for item in tree[f.key]),
@@ -269,7 +318,9 @@ def _entries(field: RecordField, value: Any) -> dict[str, Any]:
     if form is Form.SPAN:
         return {"first": value[0], "last": value[1]}
     if form is Form.INLINE:
-        return {f"{field.prefix}{key}": item for key, item in document_of(value).items()}
+        return {
+            f"{field.prefix}{key}": item for key, item in document_of(value).items()
+        }
     if form is Form.PARAMETERS:
         plant, structure = value.model.key
         shown = {} if name != "parameters" else {"plant": plant, "structure": structure}
@@ -283,9 +334,14 @@ def finite(value: Any) -> Any:
         return value if math.isfinite(value) else None
     if isinstance(value, list | tuple):
         return [finite(item) for item in value]
-    if isinstance(value, str | int | None):  # looking whether it is a mapping takes longer
+    if isinstance(value, str | int | None):
+        # looking whether it is a mapping takes longer
         return value
-    return {key: finite(item) for key, item in value.items()} if isinstance(value, Mapping) else value
+    return (
+        {key: finite(item) for key, item in value.items()}
+        if isinstance(value, Mapping)
+        else value
+    )
 
 
 def _plain(value: Any) -> Any:
@@ -293,7 +349,9 @@ def _plain(value: Any) -> Any:
         return tree_of_message(value)
     if hasattr(value, "tolist"):
         return value.tolist()
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+    return (
+        [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+    )
 
 
 RENAMED = {
@@ -304,7 +362,15 @@ RENAMED = {
 }
 """Earlier names of fields, and their current names."""
 
-BY_RESIDUALS = ("level", "nominal", "decided", "certainty", "order", "candidates", "nu_gap")
+BY_RESIDUALS = (
+    "level",
+    "nominal",
+    "decided",
+    "certainty",
+    "order",
+    "candidates",
+    "nu_gap",
+)
 """Fields that followed other rules before verdicts had a leader: structures were not candidates then, and the
 level was computed from the residuals of the nominal twin."""
 
@@ -316,14 +382,18 @@ def comparable(tree: Tree) -> Tree:
     tree = {RENAMED.get(name, name): _inside(value) for name, value in tree.items()}
     if {"plant", "names", "values"} <= tree.keys():
         return _parameters_by_name(tree)
-    if isinstance(tree.get("operating_point"), float):  # before plants could have several outputs
+    if isinstance(tree.get("operating_point"), float):
+        # before plants could have several outputs
         tree["operating_point"] = [tree["operating_point"]]
-    if "seebeck" in tree:  # the rig-specific message, before other plants were supported
+    if "seebeck" in tree:
+        # the rig-specific message, before other plants were supported
         if math.isnan(tree["seebeck"]):
             return {"plant": "", "structure": ""}
         return {"plant": "peltier", **tree}
     if "start_values" in tree:
-        tree["starts"] = dict(zip(tree["starts"], tree.pop("start_values"), strict=True))
+        tree["starts"] = dict(
+            zip(tree["starts"], tree.pop("start_values"), strict=True)
+        )
     if "sink_start" in tree:
         sink = tree.pop("sink_start")
         tree["starts"] = {} if math.isnan(sink) else {"sink": sink}
@@ -334,7 +404,8 @@ def _parameters_by_name(tree: Tree) -> Tree:
     """Parameters whose names and values are lists, as one value under each name."""
     values = dict(zip(tree["names"], tree["values"], strict=True))
     parameters = {"plant": tree["plant"]}
-    if tree["structure"] or not values:  # before structures had names, the values implied the structure
+    if tree["structure"] or not values:
+        # before structures had names, the values implied the structure
         parameters["structure"] = tree["structure"]
     return parameters | values
 
@@ -361,10 +432,20 @@ def differences(
             if apart is not None and (name in recorded) != (name in computed):
                 apart.add(_NUMBER.sub("", inside))
                 continue
-            yield from differences(recorded.get(name), computed.get(name), inside, apart)
-    elif isinstance(recorded, list) and isinstance(computed, list) and len(recorded) == len(computed):
-        for number, (recorded_item, computed_item) in enumerate(zip(recorded, computed, strict=True)):
-            yield from differences(recorded_item, computed_item, f"{place}[{number}]", apart)
+            yield from differences(
+                recorded.get(name), computed.get(name), inside, apart
+            )
+    elif (
+        isinstance(recorded, list)
+        and isinstance(computed, list)
+        and len(recorded) == len(computed)
+    ):
+        for number, (recorded_item, computed_item) in enumerate(
+            zip(recorded, computed, strict=True)
+        ):
+            yield from differences(
+                recorded_item, computed_item, f"{place}[{number}]", apart
+            )
     elif not _same(recorded, computed):
         yield place, recorded, computed
 

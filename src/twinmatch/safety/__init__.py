@@ -14,12 +14,24 @@ time.
 from twinmatch.safety.accusations import ACCUSED, Accusations
 from twinmatch.safety.budget import BudgetLimits, HeatBudget
 from twinmatch.safety.clock import ClockLimits, SafetyClock
-from twinmatch.safety.guard import FaultKind, GuardFault, GuardLimits, OutputGuard, is_limit
+from twinmatch.safety.guard import (
+    FaultKind,
+    GuardFault,
+    GuardLimits,
+    OutputGuard,
+    is_limit,
+)
 from twinmatch.safety.nominal import nominal_eigenvalue
 from twinmatch.safety.observer import DriveObserver, ObserverLimits
 from twinmatch.safety.runaway import Runaway, RunawayLimits
 from twinmatch.safety.stand_in import StandIn, StandInState
-from twinmatch.safety.trial import LawReport, LawTrial, TrialBands, TrialError, TrialPhase
+from twinmatch.safety.trial import (
+    LawReport,
+    LawTrial,
+    TrialBands,
+    TrialError,
+    TrialPhase,
+)
 from twinmatch.safety.turn import Mover, Turn
 
 __all__ = [

@@ -27,7 +27,9 @@ class Accusations:
         self._trusted: int | None = None
         self._unnamed = False
 
-    def take(self, sample: int, *, trusted: bool, fault: str, reason: str) -> str | None:
+    def take(
+        self, sample: int, *, trusted: bool, fault: str, reason: str
+    ) -> str | None:
         """Take a verdict: its sample, whether the twin is trusted, name and evidence of a fault of the plant;
         returns an error message, or None."""
         since = self._trusted

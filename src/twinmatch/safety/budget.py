@@ -14,22 +14,34 @@ class BudgetLimits:
     """Limits of the budget; a reading at `rest` needs no drive."""
 
     rest: float = setting(
-        15.0, "Output that the plant holds without drive, at the least.", "{y}", -50.0, 150.0
+        15.0,
+        "Output that the plant holds without drive, at the least.",
+        "{y}",
+        -50.0,
+        150.0,
     )
     hold: float = setting(
-        5.0, "Drive that holds the plant one {y} above rest, at the most.", "{u}/{y}", 0.01, 255.0
+        5.0,
+        "Drive that holds the plant one {y} above rest, at the most.",
+        "{u}/{y}",
+        0.01,
+        255.0,
     )
     least: float = setting(
-        2000.0, "Integral of the drive beyond it that is a fault at rest.", "{u}·s", 10.0, 1e6
+        2000.0,
+        "Integral of the drive beyond it that is a fault at rest.",
+        "{u}·s",
+        10.0,
+        1e6,
     )
-    each: float = setting(120.0, "What a set-point adds for each {y} above rest.", "{u}·s/{y}", 0.0, 1e5)
+    each: float = setting(
+        120.0, "What a set-point adds for each {y} above rest.", "{u}·s/{y}", 0.0, 1e5
+    )
 
     def __post_init__(self) -> None:
         positive("budget", {"hold": self.hold, "least": self.least})
         if not (math.isfinite(self.rest) and 0 <= self.each < math.inf):
-            msg = (
-                f"budget limits: each is {self.each}, rest {self.rest}; give finite values, each not below 0"
-            )
+            msg = f"budget limits: each is {self.each}, rest {self.rest}; give finite values, each not below 0"
             raise SafetyError(msg)
 
 
@@ -42,7 +54,12 @@ class HeatBudget:
     fault does not refill it. Only drive that heats counts.
     """
 
-    def __init__(self, limits: BudgetLimits | None = None, thing: str = "plate", unit: str = "PWM") -> None:
+    def __init__(
+        self,
+        limits: BudgetLimits | None = None,
+        thing: str = "plate",
+        unit: str = "PWM",
+    ) -> None:
         """Start full; `thing` names what is driven, `unit` is that of the drive, for messages."""
         self.limits = limits or BudgetLimits()
         self._thing = thing
@@ -52,9 +69,13 @@ class HeatBudget:
 
     def allowed(self, reference: float) -> float:
         """The most that may be spent at a set-point."""
-        return self.limits.least + self.limits.each * max(0.0, reference - self.limits.rest)
+        return self.limits.least + self.limits.each * max(
+            0.0, reference - self.limits.rest
+        )
 
-    def take(self, elapsed: float, drive: float, reference: float, reading: float) -> str | None:
+    def take(
+        self, elapsed: float, drive: float, reference: float, reading: float
+    ) -> str | None:
         """Take the drive of the last `elapsed` seconds; returns an error message, or None."""
         limits = self.limits
         explained = limits.hold * max(0.0, reading - limits.rest)

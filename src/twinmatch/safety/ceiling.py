@@ -51,7 +51,9 @@ class SensorWander:
 
     def walk(self, age: float) -> float:
         """Of its random walk so long after the start (s), °C/√s."""
-        return self.at_first + (self.later - self.at_first) * min(1.0, age / self.warmed_up)
+        return self.at_first + (self.later - self.at_first) * min(
+            1.0, age / self.warmed_up
+        )
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,12 @@ class Ceiling:
     """Of the full drive, what may pass."""
 
     def __init__(
-        self, margin: float, deviations: FloatArray, *, mean: FloatArray | None = None, seen: bool = False
+        self,
+        margin: float,
+        deviations: FloatArray,
+        *,
+        mean: FloatArray | None = None,
+        seen: bool = False,
     ) -> None:
         """Start with a likeness and how much it may be wrong, both of shape (n,).
 
@@ -155,10 +162,19 @@ class Ceiling:
         self.estimate = max(typical + self._moved(slopes), at_least)
         _, self.deviation = self._beliefs.moves(np.append(slopes, 0.0))
         self._see(reading)
-        self.share = 1.0 if self._margin >= CAUTION.no_limit else self._share(reading, reference, doubt)
+        self.share = (
+            1.0
+            if self._margin >= CAUTION.no_limit
+            else self._share(reading, reference, doubt)
+        )
         self._wander()
         alike_within = max(WANDER.alike, WANDER.alike_within * self.deviation)
-        if learns and self.seen and self.share >= 1.0 and abs(reading - self.estimate) <= alike_within:
+        if (
+            learns
+            and self.seen
+            and self.share >= 1.0
+            and abs(reading - self.estimate) <= alike_within
+        ):
             self._beliefs.learn(np.append(slopes, 1.0), reading - typical, WANDER.doubt)
 
     @property

@@ -70,14 +70,24 @@ def is_limit(text: str) -> bool:
 class GuardLimits:
     """Limits beyond which the output goes to zero."""
 
-    command_timeout: float = setting(1.0, "Zero after this time without a command.", "s", 0.1, 10.0)
+    command_timeout: float = setting(
+        1.0, "Zero after this time without a command.", "s", 0.1, 10.0
+    )
     temperature_timeout: float = setting(
-        3.0, "Zero when the newest temperature is older than this{note}.", "s", 0.1, 60.0
+        3.0,
+        "Zero when the newest temperature is older than this{note}.",
+        "s",
+        0.1,
+        60.0,
     )
     highest: float = setting(110.0, "Over-temperature limit.", "{y}", -50.0, 150.0)
     lowest: float = setting(-10.0, "Under-temperature limit.", "{y}", -50.0, 150.0)
-    jump: float = setting(10.0, "Jump of the temperature that is not believed.", "{y}", 1.0, 150.0)
-    jump_rate: float = setting(5.0, "Fastest change of the temperature that is.", "{y}/s", 0.1, 150.0)
+    jump: float = setting(
+        10.0, "Jump of the temperature that is not believed.", "{y}", 1.0, 150.0
+    )
+    jump_rate: float = setting(
+        5.0, "Fastest change of the temperature that is.", "{y}/s", 0.1, 150.0
+    )
     commands: tuple[float, float] = (-255.0, 255.0)
     """Lowest and highest valid command."""
     thing: str = "plate"
@@ -93,12 +103,16 @@ class GuardLimits:
     observer: ObserverLimits = field(default_factory=ObserverLimits)
 
     def __post_init__(self) -> None:
-        timeouts = {n: getattr(self, n) for n in ("command_timeout", "temperature_timeout")}
+        timeouts = {
+            n: getattr(self, n) for n in ("command_timeout", "temperature_timeout")
+        }
         within_a_minute("guard", **timeouts)
         if not self.lowest < self.highest:
             low = f"{self.lowest} {self.unit}"
             high = f"{self.highest} {self.unit}"
-            raise SafetyError(f"guard limits: lowest {low} must be below highest {high}")
+            raise SafetyError(
+                f"guard limits: lowest {low} must be below highest {high}"
+            )
 
 
 class OutputGuard:
@@ -123,11 +137,17 @@ class OutputGuard:
     passed: float
     """What passed at the last decision; a gate of several drives may let pass less."""
 
-    def __init__(self, limits: GuardLimits | None = None, observer: DriveObserver | None = None) -> None:
+    def __init__(
+        self, limits: GuardLimits | None = None, observer: DriveObserver | None = None
+    ) -> None:
         """Start waiting, with the output at zero; an `observer` follows what passes."""
         self.limits = limits or GuardLimits()
-        self._runaway = Runaway(self.limits.runaway, self.limits.thing, self.limits.unit)
-        self._budget = HeatBudget(self.limits.budget, self.limits.thing, self.limits.drive_unit)
+        self._runaway = Runaway(
+            self.limits.runaway, self.limits.thing, self.limits.unit
+        )
+        self._budget = HeatBudget(
+            self.limits.budget, self.limits.thing, self.limits.drive_unit
+        )
         self._observer = observer
         self.fault = self.limited = None
         self._reference = self.limits.highest  # before anybody says what is wanted
@@ -172,18 +192,25 @@ class OutputGuard:
         elif celsius < limits.lowest:
             message = f"{state}, below {limits.lowest:g} {limits.unit}; check sensor and polarity"
             self.trip(FaultKind.UNDER_TEMPERATURE, message, now)
-        elif abs(celsius - before.value) > limits.jump + limits.jump_rate * before.age(now):
+        elif abs(celsius - before.value) > limits.jump + limits.jump_rate * before.age(
+            now
+        ):
             self._doubted = f"{state}, {before.age(now):.1f} s after {before.value:.1f} {limits.unit}"
         else:
             self._doubted = ""
             before.take(celsius, now - max(0.0, age))
 
-    def loop(self, reference: float, temperature: float, drive: float, now: float) -> None:
+    def loop(
+        self, reference: float, temperature: float, drive: float, now: float
+    ) -> None:
         """Take one tick of the control loop, for the runaway watch."""
-        if self.fault is not None or not all(map(math.isfinite, (reference, temperature, drive))):
+        if self.fault is not None or not all(
+            map(math.isfinite, (reference, temperature, drive))
+        ):
             return
         self._reference = reference
-        if self.limited is not None:  # a drive that is held back cannot reach its set-point
+        if self.limited is not None:
+            # a drive that is held back cannot reach its set-point
             self._runaway.reset()
             return
         runaway = self._runaway.check(now, reference, temperature, drive)
@@ -225,10 +252,20 @@ class OutputGuard:
         if ceiling.share >= 1.0:
             self.limited = None
         elif value > most and self.limited is None:
-            self.limited = GuardFault(FaultKind.LIMITED, self._observer.hotter(reading), now)
-        elif self.limited is not None and not ceiling.seen and now - self.limited.since > BLIND:
+            self.limited = GuardFault(
+                FaultKind.LIMITED, self._observer.hotter(reading), now
+            )
+        elif (
+            self.limited is not None
+            and not ceiling.seen
+            and now - self.limited.since > BLIND
+        ):
             band = self.limits.observer.margin / 2
-            self.trip(FaultKind.DISAGREES, self._observer.contradicts(reading, ceiling.estimate, band), now)
+            self.trip(
+                FaultKind.DISAGREES,
+                self._observer.contradicts(reading, ceiling.estimate, band),
+                now,
+            )
             return 0.0
         return min(value, most)
 
@@ -249,7 +286,12 @@ class OutputGuard:
             if self._observer is None:
                 continue
             contradiction = self._observer.take(
-                span, drive, reading, beside, reference=self._reference, believed=self.fault is None
+                span,
+                drive,
+                reading,
+                beside,
+                reference=self._reference,
+                believed=self.fault is None,
             )
             if contradiction is not None and self._armed:
                 self.trip(FaultKind.DISAGREES, contradiction, now)
@@ -265,7 +307,11 @@ class OutputGuard:
             message = f"no command for {silence:.1f} s; is the controller running?"
             self.trip(FaultKind.COMMAND_SILENT, message, now)
         elif self._armed and stale:
-            kind = FaultKind.TEMPERATURE_INVALID if self._doubted else FaultKind.TEMPERATURE_STALE
+            kind = (
+                FaultKind.TEMPERATURE_INVALID
+                if self._doubted
+                else FaultKind.TEMPERATURE_STALE
+            )
             message = f"the newest temperature is {age:.1f} s old; is the {self.limits.sensor} working?"
             if self._doubted:
                 message = f"{self._doubted}: faster than it can; check the {self.limits.sensor}, and who else"
@@ -280,7 +326,11 @@ class OutputGuard:
 
         Without a fault, a limit is lifted: from now on the readings are right.
         """
-        if self.fault is None and self.limited is not None and self._observer is not None:
+        if (
+            self.fault is None
+            and self.limited is not None
+            and self._observer is not None
+        ):
             self._observer.believe()
         self.fault = self.limited = None
         self._runaway.reset()

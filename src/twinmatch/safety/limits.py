@@ -20,7 +20,9 @@ def within_a_minute(place: str, **times: float) -> None:
     """
     for name, time in times.items():
         if not 0 < time <= 60:
-            raise SafetyError(f"{place} limits: {name} is {time} s; it must be within 0 to 60 s")
+            raise SafetyError(
+                f"{place} limits: {name} is {time} s; it must be within 0 to 60 s"
+            )
 
 
 def positive(place: str, limits: Mapping[str, float]) -> None:

@@ -5,11 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from twinmatch.dynamics import Law, Parameters, PlantError, largest_eigenvalue, linearised, loop_matrix
+from twinmatch.dynamics import (
+    Law,
+    Parameters,
+    PlantError,
+    largest_eigenvalue,
+    linearised,
+    loop_matrix,
+)
 from twinmatch.dynamics.pids import as_linear
 
 
-def nominal_eigenvalue(parameters: Parameters, law: Law, levels: Sequence[float]) -> float:
+def nominal_eigenvalue(
+    parameters: Parameters, law: Law, levels: Sequence[float]
+) -> float:
     """Size of the largest eigenvalue of the loop with a plant that rests at these outputs.
 
     Where nothing holds it there, or without outputs, it rests in the middle of its set-points; NaN where

@@ -81,16 +81,27 @@ LOST: Final = 600.0
 class ObserverLimits:
     """Limits from which a reading contradicts the drive."""
 
-    band: float = setting(9.0, "Distance of the reading from what the drive explains.", "{y}", 1.0, 150.0)
+    band: float = setting(
+        9.0, "Distance of the reading from what the drive explains.", "{y}", 1.0, 150.0
+    )
     patience: float = setting(4.0, "Time beyond it that is a fault.", "s", 1.0, 600.0)
     spread: float = setting(
-        0.25, "Usual relative difference of the plant's parameters from the typical ones.", "", 0.01, 1.0
+        0.25,
+        "Usual relative difference of the plant's parameters from the typical ones.",
+        "",
+        0.01,
+        1.0,
     )
     margin: float = setting(
-        13.0, "How far the drive may take the plant beyond set-point and reading.", "{y}", 1.0, 150.0
+        13.0,
+        "How far the drive may take the plant beyond set-point and reading.",
+        "{y}",
+        1.0,
+        150.0,
     )
     known: str = setting(
-        "", "Measured parameters of this plant, such as `losses = 11.3, heating = 0.0088`: right to a tenth."
+        "",
+        "Measured parameters of this plant, such as `losses = 11.3, heating = 0.0088`: right to a tenth.",
     )
 
     def __post_init__(self) -> None:
@@ -184,12 +195,16 @@ class DriveObserver:
             self._drive += drive * part
             if self._passed >= PERIOD - 1e-9:
                 self._step(self._drive / self._passed, disturbances)
-                message = self._compare(reading, reference, believed=believed) or message
+                message = (
+                    self._compare(reading, reference, believed=believed) or message
+                )
         return message
 
     def believe(self) -> None:
         """Learn the ceiling again from the readings, for which somebody vouches."""
-        self.ceiling = Ceiling(self.limits.margin, self._deviations, mean=self._z.mean, seen=True)
+        self.ceiling = Ceiling(
+            self.limits.margin, self._deviations, mean=self._z.mean, seen=True
+        )
 
     def hotter(self, reading: float) -> str:
         """Why no more drive passes than the ceiling allows."""
@@ -205,12 +220,15 @@ class DriveObserver:
     def _begin(self, reading: float, disturbances: FloatArray | None) -> None:
         model = self._typical.model
         self._twins = [self._typical, *(side for pair in self._sides for side in pair)]
-        states = [begin(twin, reading, disturbances=disturbances) for twin in self._twins]
+        states = [
+            begin(twin, reading, disturbances=disturbances) for twin in self._twins
+        ]
         # Sensors are off by some degrees, and the first reading may be a frozen one.
         for first in (reading - self.limits.band / 2, reading + self.limits.band / 2):
             self._twins.append(self._typical)
             states.append(begin(self._typical, first, disturbances=disturbances))
-        for name in model.structure.free_starts:  # what no sensor shows may have any temperature
+        for name in model.structure.free_starts:
+            # what no sensor shows may have any temperature
             place = model.states.index(name)
             for side in (-1.0, 1.0):
                 moved = states[0].copy()
@@ -232,7 +250,9 @@ class DriveObserver:
         deviations = np.full(size, SPREAD.relative)
         for place, name in enumerate(self._typical.model.structure.free):
             if name in self._measured:
-                deviations[place] = SPREAD.relative * min(1.0, SPREAD.measured / self.limits.spread)
+                deviations[place] = SPREAD.relative * min(
+                    1.0, SPREAD.measured / self.limits.spread
+                )
             elif not self._typical.model.declared[name].relative:
                 deviations[place] = SPREAD.other
         return deviations
@@ -246,15 +266,21 @@ class DriveObserver:
                 draught = SURROUNDINGS.draught
                 changes[place] = draught / (1.0 + draught) / self.limits.spread
             elif declared.role == "room":
-                changes[place] = SURROUNDINGS.cooling / (self.limits.spread * declared.scale)
+                changes[place] = SURROUNDINGS.cooling / (
+                    self.limits.spread * declared.scale
+                )
         return changes
 
     def _step(self, drive: float, disturbances: FloatArray | None) -> None:
-        self._states, outputs = advance_side_by_side(self._twins, self._states, drive, PERIOD, disturbances)
+        self._states, outputs = advance_side_by_side(
+            self._twins, self._states, drive, PERIOD, disturbances
+        )
         self._outputs = outputs[:, 0]
         self._passed = self._drive = 0.0
 
-    def _compare(self, reading: float, reference: float = math.inf, *, believed: bool = True) -> str | None:
+    def _compare(
+        self, reading: float, reference: float = math.inf, *, believed: bool = True
+    ) -> str | None:
         slopes = (self._outputs[2::2] - self._outputs[1::2]) / 2
         typical = float(self._outputs[0])
         moved, deviation = self._z.moves(slopes)
@@ -279,7 +305,9 @@ class DriveObserver:
         self._compared += 1
         while len(self._waiting) > min(LEARNING.after / PERIOD, self._compared / 2):
             self._learn(*self._waiting.popleft())
-        colder = self._much_colder(slopes, error, band) or self._limited_in_vain(slopes, reading)
+        colder = self._much_colder(slopes, error, band) or self._limited_in_vain(
+            slopes, reading
+        )
         self._doubted = self._doubted + PERIOD if hotter or colder else 0.0
         if self._doubted < self.limits.patience:
             return None
@@ -309,7 +337,9 @@ class DriveObserver:
 
     def _learn(self, slopes: FloatArray, deviation: float) -> None:
         """Learn from a reading; one that contradicted the drive teaches nothing."""
-        self._z.covariance = self._z.covariance + np.eye(slopes.size) * PERIOD / LEARNING.memory
+        self._z.covariance = (
+            self._z.covariance + np.eye(slopes.size) * PERIOD / LEARNING.memory
+        )
         if not math.isnan(deviation):
             self._z.learn(slopes, deviation, LEARNING.doubt * self.limits.band)
 
@@ -335,14 +365,20 @@ def _with_measured(typical: Parameters, measured: Mapping[str, float]) -> Parame
     declared = typical.model.declared
     for name, value in measured.items():
         if name not in typical:
-            raise SafetyError(f"observer limits: known names {name!r}; parameters: {', '.join(typical)}")
+            raise SafetyError(
+                f"observer limits: known names {name!r}; parameters: {', '.join(typical)}"
+            )
         low, high = declared[name].bounds
         if not low <= value <= high:  # true for NaN too
-            raise SafetyError(f"observer limits: known has {name} = {value:g}; allowed: {low:g} to {high:g}")
+            raise SafetyError(
+                f"observer limits: known has {name} = {value:g}; allowed: {low:g} to {high:g}"
+            )
     return typical.replace(**measured)
 
 
-def _either_side(typical: Parameters, spread: float) -> list[tuple[Parameters, Parameters]]:
+def _either_side(
+    typical: Parameters, spread: float
+) -> list[tuple[Parameters, Parameters]]:
     """For each free parameter, the plant with it below and above its typical value, within its bounds."""
     pairs = []
     for name in typical.model.structure.free:
@@ -352,7 +388,13 @@ def _either_side(typical: Parameters, spread: float) -> list[tuple[Parameters, P
 
         step = spread * declared.scale
         ratio = math.exp(spread)
-        sides = (value / ratio, value * ratio) if declared.relative else (value - step, value + step)
-        below, above = (typical.replace(**{name: min(max(side, low), high)}) for side in sides)
+        sides = (
+            (value / ratio, value * ratio)
+            if declared.relative
+            else (value - step, value + step)
+        )
+        below, above = (
+            typical.replace(**{name: min(max(side, low), high)}) for side in sides
+        )
         pairs.append((below, above))
     return pairs

@@ -13,14 +13,30 @@ from twinmatch.settings import setting
 class RunawayLimits:
     """Limits from which a drive without effect is a fault."""
 
-    hysteresis: float = setting(5.0, "Control error that is always tolerated.", "{y}", 0.1, 100.0)
-    patience: float = setting(
-        120.0, "Integral of the error beyond it, without progress, that is a fault.", "{y}·s", 1.0, 1e5
+    hysteresis: float = setting(
+        5.0, "Control error that is always tolerated.", "{y}", 0.1, 100.0
     )
-    gain: float = setting(2.0, "Movement towards the set-point that counts as progress.", "{y}", 0.01, 100.0)
+    patience: float = setting(
+        120.0,
+        "Integral of the error beyond it, without progress, that is a fault.",
+        "{y}·s",
+        1.0,
+        1e5,
+    )
+    gain: float = setting(
+        2.0,
+        "Movement towards the set-point that counts as progress.",
+        "{y}",
+        0.01,
+        100.0,
+    )
     gain_time: float = setting(20.0, "Time for that movement.", "s", 1.0, 3600.0)
-    wrong_way: float = setting(3.0, "Movement away at full drive that is a fault.", "{y}", 0.1, 100.0)
-    full_drive: float = setting(250.0, "Magnitude from which the drive counts as full.", "{u}", 1.0, 255.0)
+    wrong_way: float = setting(
+        3.0, "Movement away at full drive that is a fault.", "{y}", 0.1, 100.0
+    )
+    full_drive: float = setting(
+        250.0, "Magnitude from which the drive counts as full.", "{u}", 1.0, 255.0
+    )
 
     def __post_init__(self) -> None:
         positive("runaway", vars(self))
@@ -34,7 +50,12 @@ class Runaway:
     of the plant; it detects a lost drive, a detached sensor, or reversed polarity.
     """
 
-    def __init__(self, limits: RunawayLimits | None = None, thing: str = "plate", unit: str = "°C") -> None:
+    def __init__(
+        self,
+        limits: RunawayLimits | None = None,
+        thing: str = "plate",
+        unit: str = "°C",
+    ) -> None:
         """Start without history; `thing` names what is driven, `unit` is that of its output, for messages."""
         self._thing = thing
         self._unit = unit
@@ -49,9 +70,12 @@ class Runaway:
         self._unexplained = 0.0  # in the output's unit times s
         self._goal = 0.0  # distance from the set-point that will count as progress
         self._deadline = 0.0
-        self._nearest_at_full = math.inf  # smallest distance since the drive became full
+        # smallest distance since the drive became full
+        self._nearest_at_full = math.inf
 
-    def check(self, now: float, reference: float, temperature: float, drive: float) -> str | None:
+    def check(
+        self, now: float, reference: float, temperature: float, drive: float
+    ) -> str | None:
         """Take one tick (s, twice the output's unit, the drive's unit); returns an error message, or None.
 
         If the clock jumps back, the check starts over.
@@ -59,7 +83,10 @@ class Runaway:
         heating = reference >= temperature
         distance = abs(reference - temperature)
         elapsed = 0.0 if self._time is None else now - self._time
-        new_task = heating != self._heating or abs(reference - self._reference) >= self.limits.gain
+        new_task = (
+            heating != self._heating
+            or abs(reference - self._reference) >= self.limits.gain
+        )
         if self._time is None or elapsed < 0 or new_task:
             self._heating = heating
             self._reference = reference
@@ -68,7 +95,9 @@ class Runaway:
         self._time = now
         limits = self.limits
         pushing = drive >= limits.full_drive if heating else drive <= -limits.full_drive
-        self._nearest_at_full = min(self._nearest_at_full, distance) if pushing else math.inf
+        self._nearest_at_full = (
+            min(self._nearest_at_full, distance) if pushing else math.inf
+        )
         if pushing and distance - self._nearest_at_full >= limits.wrong_way:
             word = "heating" if heating else "cooling"
             away = distance - self._nearest_at_full
@@ -84,7 +113,9 @@ class Runaway:
         self._goal = distance - self.limits.gain
         self._deadline = now + self.limits.gain_time
 
-    def _progress(self, now: float, elapsed: float, distance: float, drive: float) -> str | None:
+    def _progress(
+        self, now: float, elapsed: float, distance: float, drive: float
+    ) -> str | None:
         limits = self.limits
         if distance <= limits.hysteresis or distance <= self._goal:
             self._start(now, distance)
@@ -92,7 +123,9 @@ class Runaway:
         if now < self._deadline:
             return None
         pushing = abs(drive) >= limits.full_drive / 2
-        self._unexplained += (distance - limits.hysteresis) * elapsed if pushing else 0.0
+        self._unexplained += (
+            (distance - limits.hysteresis) * elapsed if pushing else 0.0
+        )
         if self._unexplained < limits.patience:
             return None
         word = "heating" if self._heating else "cooling"

@@ -57,7 +57,11 @@ class StandIn:
 
     def take(self, value: float, band: float, wide: float, now: float) -> None:
         """Take an estimate, half of the width of its band, and that up to which it counts as good."""
-        self._poor = "" if math.isfinite(value) and band <= wide else f"± {band:.2g} {self._unit} wide"
+        self._poor = (
+            ""
+            if math.isfinite(value) and band <= wide
+            else f"± {band:.2g} {self._unit} wide"
+        )
         if not self._poor:
             self._newest = now, value
 
@@ -67,10 +71,17 @@ class StandIn:
             return StandInState(math.nan)
         estimated_at, value = self._newest
         if now - estimated_at <= PATIENCE and not self._poor:
-            hot = f"{self._name} is estimated at {value:.1f} {self._unit}" if value > self._highest else ""
+            hot = (
+                f"{self._name} is estimated at {value:.1f} {self._unit}"
+                if value > self._highest
+                else ""
+            )
             has_lasted = now - self._since >= LASTING
             return StandInState(value if has_lasted and not hot else math.nan, hot)
         if now - self._since <= PATIENCE:
             return StandInState(math.nan)
         why = f"the estimate is {self._poor}" if self._poor else "there is no estimate"
-        return StandInState(math.nan, f"{self._name} is not believed, and {why}; measure it and clear this")
+        return StandInState(
+            math.nan,
+            f"{self._name} is not believed, and {why}; measure it and clear this",
+        )

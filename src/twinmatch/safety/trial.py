@@ -14,7 +14,13 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.requirements import FINITE
 from twinmatch.signals import FloatArray
 
-GAINS: Final = ("proportional", "integral", "derivative", "back_calculation", "on_measurement")
+GAINS: Final = (
+    "proportional",
+    "integral",
+    "derivative",
+    "back_calculation",
+    "on_measurement",
+)
 """What a law on trial may change of a PID."""
 
 
@@ -87,9 +93,19 @@ class TrialBands:
     """Samples outside, less those inside since, after which the law is taken back."""
 
     def __post_init__(self) -> None:
-        whole = self.low.ndim == 2 and self.low.shape == self.high.shape and self.low.size > 0
-        if not (whole and np.isfinite([self.low, self.high]).all() and (self.low < self.high).all()):
-            raise TrialError("trial: the bands are not pairs of finite ends in increasing order")
+        whole = (
+            self.low.ndim == 2
+            and self.low.shape == self.high.shape
+            and self.low.size > 0
+        )
+        if not (
+            whole
+            and np.isfinite([self.low, self.high]).all()
+            and (self.low < self.high).all()
+        ):
+            raise TrialError(
+                "trial: the bands are not pairs of finite ends in increasing order"
+            )
         if self.shadow < 0 or not 1 <= self.patience <= len(self.low):
             raise TrialError(
                 f"trial: {self.shadow} samples in the shadow and a patience of {self.patience}; give at "
@@ -147,6 +163,8 @@ class LawTrial:
         if self._missed >= bands.patience:
             j = int(np.argmin(inside))
             ends = f"{bands.low[k, j]:.4g} to {bands.high[k, j]:.4g}"
-            self.take_back(f"output {j + 1} is {outputs[j]:.4g}, not {ends}, for {self._missed} samples")
+            self.take_back(
+                f"output {j + 1} is {outputs[j]:.4g}, not {ends}, for {self._missed} samples"
+            )
         elif self._done == len(bands.low):
             self.phase = TrialPhase.KEPT

@@ -19,13 +19,26 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.units import measure
 
 NUMBERS: Final = frozenset(
-    {"bool", "boolean", "byte", "char", "octet", "float", "float32", "float64", "double", "long double"}
+    {
+        "bool",
+        "boolean",
+        "byte",
+        "char",
+        "octet",
+        "float",
+        "float32",
+        "float64",
+        "double",
+        "long double",
+    }
     | {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 )
 TEXTS: Final = frozenset({"string", "wstring"})
 _TIMES: Final = ("Header", "Time", "Duration")
 _LABEL: Final = r"[A-Za-z_/][^\[\]]*"
-_STEP: Final = re.compile(rf"\.?(?P<name>[A-Za-z]\w*)|\[(?P<index>\d+)\]|\[(?P<label>{_LABEL})\]")
+_STEP: Final = re.compile(
+    rf"\.?(?P<name>[A-Za-z]\w*)|\[(?P<index>\d+)\]|\[(?P<label>{_LABEL})\]"
+)
 _NAMES: Final = ("name", "names", "joint_names", "interface_names")
 """Fields whose texts name the elements of the lists beside them."""
 
@@ -95,7 +108,9 @@ def parse_channel(text: str) -> Channel:
         msg = f"{text.strip()!r} names no topic; write TOPIC:FIELD, such as /camera/temperature:temperature"
         raise SamplingError(msg)
     if colon and not path:
-        raise SamplingError(f"{text.strip()!r} names no field; write TOPIC:FIELD, or the topic alone")
+        raise SamplingError(
+            f"{text.strip()!r} names no field; write TOPIC:FIELD, or the topic alone"
+        )
     if path:
         steps(path)
     return Channel(topic, path)
@@ -113,7 +128,9 @@ def steps(path: str) -> tuple[str | int, ...]:
     while position < len(path):
         match = _STEP.match(path, position)
         if match is None or (not path_steps and path[0] in ".["):
-            form = "write names and indices, such as readings[2].value or position[elbow]"
+            form = (
+                "write names and indices, such as readings[2].value or position[elbow]"
+            )
             raise SamplingError(f"{path!r} is not a field path; {form}")
         name, index, label = match.groups()
         path_steps.append(name or (Label(label.strip()) if label else int(index)))
@@ -136,44 +153,74 @@ def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
     for step in steps(path):
         if isinstance(step, int | Label):
             if not field.array:
-                raise SamplingError(f"{kind}: {walked} is not a list; leave out [{step}]")
+                raise SamplingError(
+                    f"{kind}: {walked} is not a list; leave out [{step}]"
+                )
             if isinstance(step, Label) and not named:
                 example = f"{walked}[0]"
                 raise SamplingError(
                     f"{kind}: the elements of {walked} have no names; choose one by number, such as {example}"
                 )
-            if isinstance(step, int) and field.length is not None and step >= field.length:
-                raise SamplingError(f"{kind}: {walked} has {field.length} values, counted from 0")
+            if (
+                isinstance(step, int)
+                and field.length is not None
+                and step >= field.length
+            ):
+                raise SamplingError(
+                    f"{kind}: {walked} has {field.length} values, counted from 0"
+                )
             field = Field(field.kind)
             walked = f"{walked}[{step}]"
             continue
         if field.array:
-            raise SamplingError(f"{kind}: {walked} is a list; choose an element, such as {walked}[0].{step}")
+            raise SamplingError(
+                f"{kind}: {walked} is a list; choose an element, such as {walked}[0].{step}"
+            )
         fields = {} if field.kind in NUMBERS | TEXTS else fields_of(field.kind)
         if step not in fields:
             where = f"{kind}: {walked} has" if walked else f"{kind} has"
-            raise SamplingError(f"{where} no field {step!r}; its numbers: {_field_list(kind, fields_of)}")
-        named = named or any(fields[n].array and fields[n].kind in TEXTS for n in _NAMES if n in fields)
+            raise SamplingError(
+                f"{where} no field {step!r}; its numbers: {_field_list(kind, fields_of)}"
+            )
+        named = named or any(
+            fields[n].array and fields[n].kind in TEXTS for n in _NAMES if n in fields
+        )
         field = fields[step]
         walked = f"{walked}.{step}" if walked else step
     if field.array:
-        raise SamplingError(f"{kind}: {walked} is a list; choose an element, such as {walked}[0]")
+        raise SamplingError(
+            f"{kind}: {walked} is a list; choose an element, such as {walked}[0]"
+        )
     if field.kind in TEXTS:
-        raise SamplingError(f"{kind}: {walked} is text; choose a number: {_field_list(kind, fields_of)}")
+        raise SamplingError(
+            f"{kind}: {walked} is text; choose a number: {_field_list(kind, fields_of)}"
+        )
     if field.kind not in NUMBERS:
         paths = [f"{walked}.{below}" for below in fields_below(field.kind, fields_of)]
-        instead = ", ".join(paths[: _LISTING.in_errors]) if paths else _field_list(kind, fields_of)
-        raise SamplingError(f"{kind}: {walked} is a message; choose a number in it: {instead}")
+        instead = (
+            ", ".join(paths[: _LISTING.in_errors])
+            if paths
+            else _field_list(kind, fields_of)
+        )
+        raise SamplingError(
+            f"{kind}: {walked} is a message; choose a number in it: {instead}"
+        )
     return path
 
 
-def fields_below(kind: str, fields_of: FieldsOf, deep: int = _LISTING.depth) -> Iterator[str]:
+def fields_below(
+    kind: str, fields_of: FieldsOf, deep: int = _LISTING.depth
+) -> Iterator[str]:
     """Paths of the numbers in messages of a type, without those of headers and times."""
     for name, field in fields_of(kind).items():
         mark = "[0]" if field.array else ""
         if field.kind in NUMBERS:
             yield f"{name}{mark}"
-        elif field.kind not in TEXTS and deep > 1 and field.kind.rsplit("/", 1)[-1] not in _TIMES:
+        elif (
+            field.kind not in TEXTS
+            and deep > 1
+            and field.kind.rsplit("/", 1)[-1] not in _TIMES
+        ):
             for below in fields_below(field.kind, fields_of, deep - 1):
                 yield f"{name}{mark}.{below}"
 
@@ -220,10 +267,18 @@ class Followed:
         self._names = self._names or names
         if before and names and names != before:
             both = f"{'/'.join(before)} in one message and {'/'.join(names)} in another"
-            suggested = f"{self._channel.topic}:{_with_names(self._channel.path, before)}"
-            raise SamplingError(f"{self._channel.text} is {both}; choose it by name: {suggested}")
+            suggested = (
+                f"{self._channel.topic}:{_with_names(self._channel.path, before)}"
+            )
+            raise SamplingError(
+                f"{self._channel.text} is {both}; choose it by name: {suggested}"
+            )
         if value is None:
-            return None if any(isinstance(step, Label) for step in steps(self._channel.path)) else math.nan
+            return (
+                None
+                if any(isinstance(step, Label) for step in steps(self._channel.path))
+                else math.nan
+            )
         if isinstance(value, bytes):  # how ROS gives the type `byte`
             return float(value[0])
         try:
@@ -286,7 +341,9 @@ def _only(kind: str, fields_of: FieldsOf) -> str:
         return paths[0]
     if not paths:
         raise SamplingError(f"{kind} has no numbers; name another topic")
-    raise SamplingError(f"{kind} has several numbers; choose one: {_field_list(kind, fields_of)}")
+    raise SamplingError(
+        f"{kind} has several numbers; choose one: {_field_list(kind, fields_of)}"
+    )
 
 
 def _field_list(kind: str, fields_of: FieldsOf) -> str:
@@ -308,9 +365,16 @@ _UNITS: Final = {
         "current": "A",
         "percentage": "1",
     },
-    "sensor_msgs/msg/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s^2"},
+    "sensor_msgs/msg/Imu": {
+        "angular_velocity": "rad/s",
+        "linear_acceleration": "m/s^2",
+    },
     "sensor_msgs/msg/MagneticField": {"magnetic_field": "T"},
-    "sensor_msgs/msg/JointState": {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N m or N"},
+    "sensor_msgs/msg/JointState": {
+        "position": "rad or m",
+        "velocity": "rad/s or m/s",
+        "effort": "N m or N",
+    },
     "geometry_msgs/msg/Twist": {"linear": "m/s", "angular": "rad/s"},
     "geometry_msgs/msg/TwistStamped": {"twist.linear": "m/s", "twist.angular": "rad/s"},
 }
@@ -325,12 +389,20 @@ def usual_unit(kind: str, path: str, wanted: str | None = None) -> str:
     """
     units_by_path = _UNITS.get(kind, {})
     stated = next(
-        (unit for begin, unit in units_by_path.items() if re.match(rf"{re.escape(begin)}(\.|\[|$)", path)), ""
+        (
+            unit
+            for begin, unit in units_by_path.items()
+            if re.match(rf"{re.escape(begin)}(\.|\[|$)", path)
+        ),
+        "",
     )
     units = stated.split(" or ")
     if wanted is None or len(units) == 1:
         return units[0]
     asked = measure(wanted)
-    if not asked.known or "%" in wanted:  # to which radians, being plain numbers, could be converted
+    if not asked.known or "%" in wanted:
+        # to which radians, being plain numbers, could be converted
         return ""
-    return next((unit for unit in units if measure(unit).dimension == asked.dimension), "")
+    return next(
+        (unit for unit in units if measure(unit).dimension == asked.dimension), ""
+    )

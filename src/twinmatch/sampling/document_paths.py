@@ -25,7 +25,17 @@ _STEP: Final = re.compile(
 )
 _WITH_COLON: Final = re.compile(rf"\.?(?P<name>{_NAME}(?::\w+)+)")
 """A key such as `light:0`, which people write without brackets."""
-_NAMING: Final = ("n", "name", "id", "key", "label", "sensor", "channel", "address", "tag")
+_NAMING: Final = (
+    "n",
+    "name",
+    "id",
+    "key",
+    "label",
+    "sensor",
+    "channel",
+    "address",
+    "tag",
+)
 """Keys whose values name the elements of a list, in the order of preference."""
 _FORM: Final = 'write keys and indices, such as a.b[2], [n=temp].v or ["any key"]'
 
@@ -41,7 +51,7 @@ Step = str | int | Choice
 """A key, an index or a choice; an index of an object is its key."""
 
 
-class Absent(Exception):  # noqa: N818 — it is not an error: a message may have only a part
+class Absent(Exception):  # noqa: N818
     """A document has nothing at a path."""
 
 
@@ -108,7 +118,9 @@ def _text(written: str) -> str:
     try:
         return str(json.loads(written))
     except ValueError:
-        raise SamplingError(f"{written} is not a text in quotation marks; {_FORM}") from None
+        raise SamplingError(
+            f"{written} is not a text in quotation marks; {_FORM}"
+        ) from None
 
 
 def found_at(document: Any, path: str) -> Any:
@@ -144,18 +156,25 @@ def _position(elements: Sequence[Any], choice: Choice) -> int:
     """
     positions = []
     for position, element in enumerate(elements):
-        if isinstance(element, dict) and _label(element.get(choice.naming)) == choice.label:
+        if (
+            isinstance(element, dict)
+            and _label(element.get(choice.naming)) == choice.label
+        ):
             positions.append(position)
     if not positions:
         raise Absent
     if len(positions) > 1:
-        raise SamplingError(f"{len(positions)} elements of a list have {choice.naming}={choice.label}")
+        raise SamplingError(
+            f"{len(positions)} elements of a list have {choice.naming}={choice.label}"
+        )
     return positions[0]
 
 
 def _label(value: Any) -> str | None:
     """What a label reads, which may be a text or a whole number; None for anything else."""
-    if isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool)):
+    if isinstance(value, str) or (
+        isinstance(value, int) and not isinstance(value, bool)
+    ):
         return str(value)
     return None
 
@@ -163,7 +182,10 @@ def _label(value: Any) -> str | None:
 def element_steps(elements: Sequence[Any]) -> list[Step]:
     """The step to each element of a list: by its name, if they have names, otherwise by its index."""
     for naming in _NAMING:
-        labels = [_label(element.get(naming)) if isinstance(element, dict) else None for element in elements]
+        labels = [
+            _label(element.get(naming)) if isinstance(element, dict) else None
+            for element in elements
+        ]
         if len(elements) > 1 and None not in labels and len(set(labels)) == len(labels):
             return [Choice(naming, str(label)) for label in labels]
     return list(range(len(elements)))
@@ -204,9 +226,13 @@ def by_name(document: Any, path: str) -> str:
     value = document
     named = ""
     for step in steps_of(path):
-        is_element = isinstance(value, list) and isinstance(step, int) and step < len(value)
+        is_element = (
+            isinstance(value, list) and isinstance(step, int) and step < len(value)
+        )
         chosen = element_steps(value)[int(str(step))] if is_element else step
-        named = with_step(named, chosen if is_element or not isinstance(step, int) else str(step))
+        named = with_step(
+            named, chosen if is_element or not isinstance(step, int) else str(step)
+        )
         value = _below(value, step)
     return named
 

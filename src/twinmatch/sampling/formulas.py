@@ -66,9 +66,13 @@ class MapFormula:
         try:
             self._check(self._body)
         except RecursionError:
-            raise SamplingError(f"{text[:40]!r} is nested too deeply; {_FORM}") from None
+            raise SamplingError(
+                f"{text[:40]!r} is nested too deeply; {_FORM}"
+            ) from None
 
-    def values(self, arguments: Mapping[str, FloatArray], seconds: FloatArray) -> FloatArray:
+    def values(
+        self, arguments: Mapping[str, FloatArray], seconds: FloatArray
+    ) -> FloatArray:
         """The formula's values, shape (N,); nan where an argument is nan or the result is not finite.
 
         Args:
@@ -97,7 +101,9 @@ class MapFormula:
             raise SamplingError(f"{self.text!r} is not a formula of a map; {_FORM}")
         else:
             for part in ast.iter_child_nodes(node):
-                if not isinstance(part, ast.operator | ast.unaryop | ast.cmpop | ast.boolop):
+                if not isinstance(
+                    part, ast.operator | ast.unaryop | ast.cmpop | ast.boolop
+                ):
                     self._check(part)
 
     def _check_call(self, node: ast.Call) -> None:
@@ -124,7 +130,9 @@ class _Arguments:
             ast.Constant: lambda part: float(part.value),
             ast.Name: lambda part: np.asarray(self._values[part.id], dtype=float),
             ast.BinOp: self._operation,
-            ast.UnaryOp: lambda part: _OPERATIONS[type(part.op)](self.result(part.operand)),
+            ast.UnaryOp: lambda part: _OPERATIONS[type(part.op)](
+                self.result(part.operand)
+            ),
             ast.Compare: self._comparison,
             ast.BoolOp: self._logic,
             ast.IfExp: self._choice,
@@ -133,10 +141,14 @@ class _Arguments:
         return by_kind[type(node)](node)
 
     def _operation(self, node: ast.BinOp) -> Any:
-        return _OPERATIONS[type(node.op)](self.result(node.left), self.result(node.right))
+        return _OPERATIONS[type(node.op)](
+            self.result(node.left), self.result(node.right)
+        )
 
     def _comparison(self, node: ast.Compare) -> Any:
-        return 1.0 * _OPERATIONS[type(node.ops[0])](self.result(node.left), self.result(node.comparators[0]))
+        return 1.0 * _OPERATIONS[type(node.ops[0])](
+            self.result(node.left), self.result(node.comparators[0])
+        )
 
     def _logic(self, node: ast.BoolOp) -> Any:
         truths = [np.not_equal(self.result(part), 0.0) for part in node.values]
@@ -151,7 +163,9 @@ class _Arguments:
         arguments = [self.result(argument) for argument in node.args]
         name = node.func.id if isinstance(node.func, ast.Name) else ""
         if name == _RATE:
-            return _rate(np.broadcast_to(arguments[0], self._seconds.shape), self._seconds)
+            return _rate(
+                np.broadcast_to(arguments[0], self._seconds.shape), self._seconds
+            )
         return _FUNCTIONS[name](*arguments)
 
 
@@ -162,7 +176,9 @@ def _parsed(text: str) -> ast.expr:
         SamplingError: it is not an expression.
     """
     if len(text) > _LONGEST:
-        raise SamplingError(f"a formula of {len(text)} characters is too long; at most {_LONGEST} are read")
+        raise SamplingError(
+            f"a formula of {len(text)} characters is too long; at most {_LONGEST} are read"
+        )
     try:
         return ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
@@ -229,7 +245,10 @@ class Computing:
             if 0.0 <= seconds - before.seconds < shortest:
                 return before.value
             moments = [(before.arguments, before.seconds), (arguments, seconds)]
-        series = {name: np.array([values[name] for values, _ in moments]) for name in self._formula.names}
+        series = {
+            name: np.array([values[name] for values, _ in moments])
+            for name in self._formula.names
+        }
         times = np.array([moment_seconds for _, moment_seconds in moments])
         value = float(self._formula.values(series, times)[-1])
         interval = seconds - before.seconds if before is not None else 0.0

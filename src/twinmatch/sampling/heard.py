@@ -19,7 +19,18 @@ from twinmatch.sampling.written_numbers import written_number
 
 _QUOTED: Final = 40
 """Most characters of a text that are shown."""
-USUAL_MARKS: Final = (-32768.0, 32768.0, 32767.0, 65535.0, -127.0, 127.94, 85.0, -999.0, -9999.0, -8000.0)
+USUAL_MARKS: Final = (
+    -32768.0,
+    32768.0,
+    32767.0,
+    65535.0,
+    -127.0,
+    127.94,
+    85.0,
+    -999.0,
+    -9999.0,
+    -8000.0,
+)
 """Numbers with which many devices say that there is no sensor, or no value yet."""
 
 
@@ -51,7 +62,11 @@ class Heard:
         Texts that are not numbers are shown only for topics that have nothing else.
         """
         for topic, values in sorted(self._values.items()):
-            shown = [_line(topic, path, value) for path, value in values.items() if _is_number(value)]
+            shown = [
+                _line(topic, path, value)
+                for path, value in values.items()
+                if _is_number(value)
+            ]
             if not shown:
                 shown = [_line(topic, path, value) for path, value in values.items()]
             yield from shown
@@ -63,7 +78,11 @@ class Heard:
 
 def mark_hint(value: float) -> str:
     """What to write if a number stands for no value; empty if it is not one that often does."""
-    return f"  (no sensor? then write '; missing={value:g}')" if value in USUAL_MARKS else ""
+    return (
+        f"  (no sensor? then write '; missing={value:g}')"
+        if value in USUAL_MARKS
+        else ""
+    )
 
 
 def _is_number(value: float | str) -> bool:

@@ -56,7 +56,9 @@ class RefusedValues:
 class Receive(Protocol):
     """Takes each message of a topic."""
 
-    def __call__(self, topic: str, read: Read, stamp: int = 0, *, retained: bool = False) -> None:
+    def __call__(
+        self, topic: str, read: Read, stamp: int = 0, *, retained: bool = False
+    ) -> None:
         """Take a message that can be `read`. `stamp`: when its values were measured, ns; 0: not known.
         `retained`: it was sent at some time before, and kept by a broker for late subscribers."""
 
@@ -150,14 +152,18 @@ class SignalListener:
         self._close: Callable[[], bool] = lambda: True  # nothing is open yet
         self._units = {name: signal.unit for name, signal in signals_of(plant).items()}
         self._ready: dict[str, FollowedSignal] = {}
-        self._fresh: dict[str, dict[int, tuple[float, int]]] = {name: {} for name in sources}
+        self._fresh: dict[str, dict[int, tuple[float, int]]] = {
+            name: {} for name in sources
+        }
         self._heard: dict[str, float] = {}
         self._begun = time.monotonic()
         self._has_samples = False
 
     def open(self, opened: Open) -> None:
         """Begin to listen to a source, which may have messages at once."""
-        self._source = opened(list(chain.from_iterable(self.channels.values())), self.receive)
+        self._source = opened(
+            list(chain.from_iterable(self.channels.values())), self.receive
+        )
         self._close = self._source.close
         self.search()
 
@@ -181,11 +187,15 @@ class SignalListener:
                 if name not in self._ready and all(c.topic in kinds for c in channels):
                     checked = [c._replace(path=self._source.path(c)) for c in channels]
                     channel_kinds = [kinds[c.topic] for c in checked]
-                    self._ready[name] = source.follow(name, self._units[name], checked, channel_kinds)
+                    self._ready[name] = source.follow(
+                        name, self._units[name], checked, channel_kinds
+                    )
         except TwinmatchError as error:
             self.failed = SamplingError(str(error))
 
-    def receive(self, topic: str, read: Read, stamp: int = 0, *, retained: bool = False) -> None:
+    def receive(
+        self, topic: str, read: Read, stamp: int = 0, *, retained: bool = False
+    ) -> None:
         """Take a message.
 
         A reading stamped in the future would never become stale, so it counts as of now; one without a stamp
@@ -207,9 +217,14 @@ class SignalListener:
                 self.refusals[name].now = ""
                 if len(fresh) == len(source.channels):
                     oldest = min(number_stamp for _, number_stamp in fresh.values())
-                    numbers_in_order = [fresh[place][0] for place in range(len(source.channels))]
+                    numbers_in_order = [
+                        fresh[place][0] for place in range(len(source.channels))
+                    ]
                     value = source.value(numbers_in_order, oldest / NANOSECONDS)
-                    if not math.isfinite(value) and not self.sampler.limits[name].max_age:
+                    if (
+                        not math.isfinite(value)
+                        and not self.sampler.limits[name].max_age
+                    ):
                         self.sampler.end(name)
                     self.sampler.take(name, value, oldest, arrived, retained=retained)
                     fresh.clear()
@@ -221,7 +236,8 @@ class SignalListener:
         """
         complete = self.sampler.collect(self._now())
         self._source.poll()
-        if self._source.lost:  # a value that is sent when it changes no longer holds until the next one
+        if self._source.lost:
+            # a value that is sent when it changes no longer holds until the next one
             self.sampler.forget()
         complete += self.sampler.collect(self._now())
         self._has_samples = self._has_samples or bool(complete)
@@ -235,7 +251,10 @@ class SignalListener:
         """What to report at once, each thing one time: refused values, and what the source noticed."""
         lines = []
         for name, refusals in self.refusals.items():
-            lines += [f"{name}: {reason}; the value before it has ended" for reason in refusals.unreported]
+            lines += [
+                f"{name}: {reason}; the value before it has ended"
+                for reason in refusals.unreported
+            ]
             refusals.unreported.clear()
         lines += self._notices
         self._notices.clear()
@@ -250,9 +269,13 @@ class SignalListener:
         refused = self.refusals[name].now
         if refused and not self._source.lost:
             return f"{name}: {refused}; no samples until there is a number"
-        return self._silence(name) or self._explained(name, self.sampler.troubles.get(name, ""))
+        return self._silence(name) or self._explained(
+            name, self.sampler.troubles.get(name, "")
+        )
 
-    def _numbers(self, name: str, source: FollowedSignal, topic: str, read: Read) -> dict[int, float]:
+    def _numbers(
+        self, name: str, source: FollowedSignal, topic: str, read: Read
+    ) -> dict[int, float]:
         """The numbers of a signal in a message, by their places.
 
         Before the first sample a message that cannot be meant is an error; later it is left out: the loop
@@ -280,7 +303,11 @@ class SignalListener:
 
     def _notice_unused_words(self, name: str, source: FollowedSignal) -> None:
         """Notice once that values are numbers though their map has words, which may be misspelt settings."""
-        if source.source.words and not source.source.formula and name not in self._words:
+        if (
+            source.source.words
+            and not source.source.formula
+            and name not in self._words
+        ):
             self._words[name] = ""
             words = ", ".join(source.source.words)
             self._notices.append(
@@ -307,9 +334,13 @@ class SignalListener:
 
     def _silence(self, name: str) -> str:
         """The report on a signal that is silent; empty if it is not, or if silence is allowed."""
-        distinct_topics = dict.fromkeys(channel.topic for channel in self.channels[name])
+        distinct_topics = dict.fromkeys(
+            channel.topic for channel in self.channels[name]
+        )
         topics = " and ".join(distinct_topics)
-        why = self._source.lost or next(filter(None, map(self._source.trouble, distinct_topics)), "")
+        why = self._source.lost or next(
+            filter(None, map(self._source.trouble, distinct_topics)), ""
+        )
         limit = self.sampler.limits[name].max_age
         heard = self._heard.get(name)
         wall_now = time.monotonic()

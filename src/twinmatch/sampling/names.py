@@ -29,7 +29,9 @@ class LoopNames(NamedTuple):
         outputs = tuple(plant.outputs)
         inputs = tuple(plant.drives)
         return cls(
-            (REFERENCE,) if len(outputs) == 1 else tuple(f"{y}_{REFERENCE}" for y in outputs),
+            (REFERENCE,)
+            if len(outputs) == 1
+            else tuple(f"{y}_{REFERENCE}" for y in outputs),
             (OUTPUT,) if len(outputs) == 1 else outputs,
             (INPUT,) if len(inputs) == 1 else inputs,
         )
@@ -39,13 +41,23 @@ def signals_of(plant: type[Plant]) -> dict[str, Quantity]:
     """The signals of a plant: references, outputs, inputs and disturbances, in the order of its file."""
     is_ = description_of(plant)
     names = chain(*LoopNames.of(plant), plant.disturbances)
-    return dict(zip(names, chain(is_.references, is_.outputs, is_.inputs, is_.disturbances), strict=True))
+    return dict(
+        zip(
+            names,
+            chain(is_.references, is_.outputs, is_.inputs, is_.disturbances),
+            strict=True,
+        )
+    )
 
 
 def accepted_names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:
     """By signal, and for the time, the names by which a map may call it; its own first."""
     loop = LoopNames.of(plant)
-    spellings = ("setpoint", "set_point", "set-point") if loop.references == (REFERENCE,) else ()
+    spellings = (
+        ("setpoint", "set_point", "set-point")
+        if loop.references == (REFERENCE,)
+        else ()
+    )
     references = _numbered(REFERENCE, loop.references)
     return {
         TIME: (TIME,),
@@ -56,7 +68,9 @@ def accepted_names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:
     }
 
 
-def _numbered(kind: str, signals: tuple[str, ...], names: tuple[str, ...] = ()) -> dict[str, tuple[str, ...]]:
+def _numbered(
+    kind: str, signals: tuple[str, ...], names: tuple[str, ...] = ()
+) -> dict[str, tuple[str, ...]]:
     """Accepted names of each signal; where there are several, one is its number, such as output.2."""
     accepted = {}
     for k, (signal, name) in enumerate(zip(signals, names or signals, strict=True), 1):
@@ -69,10 +83,13 @@ def signal_called(plant: type[Plant]) -> dict[str, str]:
     """The signal that each accepted name means."""
     names = accepted_names(plant)
     meant = {name: signal for signal, accepted in names.items() for name in accepted}
-    return meant | {signal: signal for signal in names}  # also where a drive is called output
+    # also where a drive is called output
+    return meant | {signal: signal for signal in names}
 
 
-def by_signal(plant: type[Plant], named_entries: Mapping[str, _Value]) -> dict[str, _Value]:
+def by_signal(
+    plant: type[Plant], named_entries: Mapping[str, _Value]
+) -> dict[str, _Value]:
     """The entries of a map by signal, from entries by any accepted name.
 
     Raises:
@@ -88,7 +105,9 @@ def by_signal(plant: type[Plant], named_entries: Mapping[str, _Value]) -> dict[s
             )
         signal = meant[name]
         if signal in entries:
-            raise RecordingError(f"--map: {names_used[signal]} and {name} are the same signal; give it once")
+            raise RecordingError(
+                f"--map: {names_used[signal]} and {name} are the same signal; give it once"
+            )
         entries[signal] = entry
         names_used[signal] = name
     return entries

@@ -67,7 +67,9 @@ def parse_place(text: str) -> Channel:
             "such as room/t:value; --list shows the topics of a filter"
         )
     if not topic or not _may_be_sent(topic):
-        raise SamplingError(f"{text!r} names no topic; write TOPIC or TOPIC:KEY, such as room/t:value")
+        raise SamplingError(
+            f"{text!r} names no topic; write TOPIC or TOPIC:KEY, such as room/t:value"
+        )
     if is_sparkplug(topic):
         raise SamplingError(f"{topic}: {SPARKPLUG}")
     steps_of(path)
@@ -121,7 +123,9 @@ def _unquoted(text: str) -> str:
     try:
         return str(json.loads(text))
     except ValueError:
-        raise SamplingError(f"{text[:40]!r} is not a topic in quotation marks") from None
+        raise SamplingError(
+            f"{text[:40]!r} is not a topic in quotation marks"
+        ) from None
 
 
 def parse_filter(text: str) -> str:
@@ -141,7 +145,9 @@ def parse_filter(text: str) -> str:
                 "all that follow, at the end; write room, room/# or room/+/t"
             )
     if not _may_be_sent(chosen):
-        raise SamplingError(f"{text[:40]!r} is not a filter of MQTT; write room, room/# or room/+/t")
+        raise SamplingError(
+            f"{text[:40]!r} is not a filter of MQTT; write room, room/# or room/+/t"
+        )
     return chosen
 
 
@@ -174,7 +180,9 @@ def document_of(payload: bytes) -> Any:
         pass
     text = payload.decode("utf-8", "replace").strip()
     if any(ord(letter) < _FIRST_PRINTED and letter not in "\t\r\n" for letter in text):
-        raise UnreadableError(f"{len(payload)} binary bytes, {payload[:12].hex(' ')} …, are not a reading")
+        raise UnreadableError(
+            f"{len(payload)} binary bytes, {payload[:12].hex(' ')} …, are not a reading"
+        )
     return text
 
 
@@ -193,7 +201,9 @@ def value_at(document: Any, path: str) -> float | str | None:
     if isinstance(value, dict | list):
         paths = [below for below, _ in numbers_in(value)]
         if path or len(paths) != 1:
-            raise UnreadableError(f"several numbers or none; choose one: {_listed(document)}")
+            raise UnreadableError(
+                f"several numbers or none; choose one: {_listed(document)}"
+            )
         return value_at(document, paths[0])
     if value is None or isinstance(value, str):
         return value
@@ -228,9 +238,14 @@ def stamp_at(document: Any, path: str) -> int:
         value = None
     try:
         if isinstance(value, str):
-            return round(datetime.fromisoformat(value.replace("Z", "+00:00")).timestamp() * NANOSECONDS)
+            return round(
+                datetime.fromisoformat(value.replace("Z", "+00:00")).timestamp()
+                * NANOSECONDS
+            )
         seconds = float(value)
-        return round((seconds / 1e3 if seconds > _MILLISECONDS else seconds) * NANOSECONDS)
+        return round(
+            (seconds / 1e3 if seconds > _MILLISECONDS else seconds) * NANOSECONDS
+        )
     except (TypeError, ValueError, OverflowError):
         raise SamplingError(f"no time at {path!r}, but {str(value)[:40]!r}") from None
 

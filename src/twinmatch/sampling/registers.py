@@ -14,7 +14,16 @@ LONGEST: Final = {"coil": 2000, "discrete": 2000, "holding": 125, "input": 125}
 """Most values that one request may read, by table."""
 BITS: Final = ("coil", "discrete")
 """Tables of bits; those of the others are registers of 16 bits."""
-_NAMES: Final = ("int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
+_NAMES: Final = (
+    "int16",
+    "uint16",
+    "int32",
+    "uint32",
+    "int64",
+    "uint64",
+    "float32",
+    "float64",
+)
 _TYPES: Final = dict(zip(_NAMES, "hHiIqQfd", strict=True))
 _PLACE: Final = re.compile(
     rf"(\w+)/([0-9]{{1,5}})(?:\s*:\s*({'|'.join(_NAMES)})(?:\s+(big|little))?(?:\s+(swapped))?)?"
@@ -46,12 +55,20 @@ def parse_place(text: str) -> Channel:
         SamplingError: it is not such a place.
     """
     match = _PLACE.fullmatch(text.strip().lower())
-    table, address, kind, order, swapped = match.groups("") if match else ("", "0", "", "", "")
-    path = "" if table in BITS else " ".join(filter(None, (kind or "int16", order, swapped)))
+    table, address, kind, order, swapped = (
+        match.groups("") if match else ("", "0", "", "", "")
+    )
+    path = (
+        ""
+        if table in BITS
+        else " ".join(filter(None, (kind or "int16", order, swapped)))
+    )
     channel = Channel(f"{table}/{int(address)}", path)
     if table not in LONGEST or (kind and not path) or span_of(channel)[2] > _END:
         form = "write TABLE/ADDRESS, or of registers TABLE/ADDRESS:TYPE, such as holding/4:float32 little"
-        raise SamplingError(f"{text.strip()!r} is not a place; {form}; {_FORM}, types {', '.join(_NAMES)}")
+        raise SamplingError(
+            f"{text.strip()!r} is not a place; {form}; {_FORM}, types {', '.join(_NAMES)}"
+        )
     return channel
 
 
@@ -65,7 +82,9 @@ def parse_range(text: str) -> Span:
     table, first, end = span_of(parse_place(place))
     end = int(last) + 1 if re.fullmatch("[0-9]{1,5}", last) else end * (not last)
     if not first < end <= _END:
-        raise SamplingError(f"{text!r} is not a range; write TABLE/FIRST-LAST, such as holding/0-50; {_FORM}")
+        raise SamplingError(
+            f"{text!r} is not a range; write TABLE/FIRST-LAST, such as holding/0-50; {_FORM}"
+        )
     return table, first, end
 
 
@@ -83,7 +102,9 @@ def number_at(values: Values, channel: Channel) -> float:
     words = [values[table, address] for address in range(first, end)][::step]
     if "swapped" in orders:
         words = [_swapped(word) for word in words]
-    return float(struct.unpack(_code(channel), struct.pack(f">{len(words)}H", *words))[0])
+    return float(
+        struct.unpack(_code(channel), struct.pack(f">{len(words)}H", *words))[0]
+    )
 
 
 def _swapped(word: int) -> int:
@@ -97,10 +118,18 @@ def doubt(values: Values, channel: Channel) -> str:
     if not kind.startswith("float"):
         return ""
     number = number_at(values, channel)
-    if not math.isfinite(number) or number == 0.0 or _ABSURD[0] < abs(number) < _ABSURD[1]:
+    if (
+        not math.isfinite(number)
+        or number == 0.0
+        or _ABSURD[0] < abs(number) < _ABSURD[1]
+    ):
         return ""
     others = [Channel(channel.topic, kind + order) for order in _ORDERS]
-    proposals = [f"{other.text} is {number_at(values, other):g}" for other in others if _reads(values, other)]
+    proposals = [
+        f"{other.text} is {number_at(values, other):g}"
+        for other in others
+        if _reads(values, other)
+    ]
     if not proposals:
         return ""
     better = " and ".join(proposals)
@@ -133,10 +162,17 @@ def values_in(answer: bytes, span: Span) -> Values:
         )
     if len(answer) != wanted + 1 or answer[0] != wanted:
         stated = f"states {answer[0]} and has {len(answer) - 1}" if answer else "has 0"
-        raise SamplingError(f"the answer to {span_text(span)} {stated} bytes of values, not {wanted}")
+        raise SamplingError(
+            f"the answer to {span_text(span)} {stated} bytes of values, not {wanted}"
+        )
     if table in BITS:
-        return {(table, first + k): answer[1 + k // 8] >> k % 8 & 1 for k in range(count)}
-    return {(table, first + k): int.from_bytes(answer[1 + 2 * k : 3 + 2 * k], "big") for k in range(count)}
+        return {
+            (table, first + k): answer[1 + k // 8] >> k % 8 & 1 for k in range(count)
+        }
+    return {
+        (table, first + k): int.from_bytes(answer[1 + 2 * k : 3 + 2 * k], "big")
+        for k in range(count)
+    }
 
 
 def joined(spans: Iterable[Span]) -> list[Span]:
@@ -162,7 +198,10 @@ def _reals(values: Values, topic: str) -> str:
         channels = [Channel(topic, f"float32{order}") for order in orders]
         readings = [channel for channel in channels if _reads(values, channel)]
         if readings:
-            return "".join(f"  {channel.path} {number_at(values, channel):g}" for channel in readings)
+            return "".join(
+                f"  {channel.path} {number_at(values, channel):g}"
+                for channel in readings
+            )
     return ""
 
 
@@ -170,7 +209,11 @@ def described(values: Values, span: Span) -> Iterator[str]:
     """A line for each value, a register as the types that may be meant; then the parts without values."""
     for (table, address), value in sorted(values.items()):
         line = f"{table}/{address}  "
-        line += f"{value}" if table in BITS else f"uint16 {value}  int16 {(value ^ 0x8000) - 0x8000}"
+        line += (
+            f"{value}"
+            if table in BITS
+            else f"uint16 {value}  int16 {(value ^ 0x8000) - 0x8000}"
+        )
         if table not in BITS and (table, address + 1) in values:
             line += _reals(values, f"{table}/{address}")
         if table not in BITS and (mark := (value ^ 0x8000) - 0x8000) in _MARKS:

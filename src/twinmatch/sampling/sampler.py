@@ -67,7 +67,8 @@ class Grid:
             self._newest = now
             self._due = now
             return 0
-        if now < self._newest - self._period:  # the clock was set back: nothing reaches across that
+        if now < self._newest - self._period:
+            # the clock was set back: nothing reaches across that
             self.missed = self.missed + 1
             self.jitter = 0
             self._number = self._number + 2
@@ -83,7 +84,9 @@ class Grid:
         self._number += 1 + skipped
         self._newest = now
         # During a gap the loop may have been restarted, at any time.
-        self._due = now if late < 0 or skipped else now - late + round(self._LEAK * late)
+        self._due = (
+            now if late < 0 or skipped else now - late + round(self._LEAK * late)
+        )
         return self._number
 
 
@@ -186,7 +189,7 @@ class Sampler:
         *,
         settle: float = 0.1,
         disturbances: Mapping[str, float] = _NONE,
-        loop: LoopNames = LoopNames(),  # noqa: B008 (it is immutable)
+        loop: LoopNames = LoopNames(),  # noqa: B008
     ) -> None:
         """Start without values.
 
@@ -240,10 +243,17 @@ class Sampler:
         """A signal's newest value; None before there is one."""
         return self._buffers[name].newest
 
-    def take(self, name: str, value: float, stamp: int, now: int, *, retained: bool = False) -> None:
+    def take(
+        self, name: str, value: float, stamp: int, now: int, *, retained: bool = False
+    ) -> None:
         """Take a value; one of the pacing signal triggers a tick, unless it was `retained` since earlier."""
         self._buffers[name].push(value, stamp)
-        if name == self._pacer and math.isfinite(value) and not retained and not self._repeats(value, stamp):
+        if (
+            name == self._pacer
+            and math.isfinite(value)
+            and not retained
+            and not self._repeats(value, stamp)
+        ):
             self._push(_Tick(0, stamp, now + self._settle, value))
 
     def end(self, name: str) -> None:
@@ -270,7 +280,9 @@ class Sampler:
             tick = self._ticks.popleft()
             for name in () if self._commanded else self._loop.inputs:
                 mean = self._buffers[name].mean(tick.time, tick.time + self._step)
-                tick.values[name] = self._check_value(name, mean, tick.ready + self._step, tick.troubles)
+                tick.values[name] = self._check_value(
+                    name, mean, tick.ready + self._step, tick.troubles
+                )
             self.troubles = tick.troubles
             if not tick.troubles:
                 samples.append(self._sample(tick.number, tick.time, tick.values))
@@ -281,7 +293,11 @@ class Sampler:
     def _repeats(self, value: float, stamp: int) -> bool:
         """Whether a value of the pacing signal is one that has come already, and is sent again at once."""
         before = self._paced
-        is_repeated = before is not None and value == before[0] and 0 <= stamp - before[1] < self._at_once
+        is_repeated = (
+            before is not None
+            and value == before[0]
+            and 0 <= stamp - before[1] < self._at_once
+        )
         if is_repeated:
             self.repeated += 1
         else:
@@ -305,12 +321,22 @@ class Sampler:
                 f"{self._pacer} arrives every {self.rate.period:.4g} s, but the period is "
                 f"{self.period:g} s; correct the period, or set paced_by to {TIMER}"
             )
-        elif after is not None and self._pacer != TIMER and after.ready - tick.ready < self._settle:
-            tick.troubles["pace"] = "several ticks arrived at once; their other values cannot be told apart"
+        elif (
+            after is not None
+            and self._pacer != TIMER
+            and after.ready - tick.ready < self._settle
+        ):
+            tick.troubles["pace"] = (
+                "several ticks arrived at once; their other values cannot be told apart"
+            )
         for name in self.limits:
             if self._commanded or name not in self._loop.inputs:
-                value = tick.paced if name == self._pacer else self._buffers[name].newest
-                tick.values[name] = self._check_value(name, value, tick.ready, tick.troubles)
+                value = (
+                    tick.paced if name == self._pacer else self._buffers[name].newest
+                )
+                tick.values[name] = self._check_value(
+                    name, value, tick.ready, tick.troubles
+                )
 
     def _sample(self, number: int, time: int, values: Mapping[str, float]) -> Sample:
         references, outputs, inputs = self._loop
@@ -324,10 +350,14 @@ class Sampler:
             tuple(map(values.get, references, self._references)),
             tuple(values[name] for name in outputs),
             tuple(values[name] for name in inputs),
-            tuple(values.get(name, usual) for name, usual in self._disturbances.items()),
+            tuple(
+                values.get(name, usual) for name, usual in self._disturbances.items()
+            ),
         )
 
-    def _check_value(self, name: str, value: float | None, tick_time: int, troubles: dict[str, str]) -> float:
+    def _check_value(
+        self, name: str, value: float | None, tick_time: int, troubles: dict[str, str]
+    ) -> float:
         """The value, perhaps NaN; if it cannot be used, the reason is added to `troubles`."""
         limits = self.limits[name]
         counts = self.counts[name]
@@ -349,20 +379,30 @@ class Sampler:
             self._within.add(name)
         elif not (limits.lenient and name in self._within):
             counts.beyond += 1
-            troubles[name] = f"{name} is {value:g}, outside {limits.low:g} to {limits.high:g}"
+            troubles[name] = (
+                f"{name} is {value:g}, outside {limits.low:g} to {limits.high:g}"
+            )
         return value
 
 
 def _check(
-    signals: Mapping[str, Limits], loop: LoopNames, period: float, paced_by: str, settle: float
+    signals: Mapping[str, Limits],
+    loop: LoopNames,
+    period: float,
+    paced_by: str,
+    settle: float,
 ) -> None:
     for name in (*loop.outputs, *loop.inputs):
         if name not in signals:
             raise SamplingError(f"{name} is not mapped; every sample needs it")
     if paced_by not in (*signals, TIMER):
-        raise SamplingError(f"paced_by is {paced_by!r}; choose one of {', '.join([*signals, TIMER])}")
+        raise SamplingError(
+            f"paced_by is {paced_by!r}; choose one of {', '.join([*signals, TIMER])}"
+        )
     if not 0 <= settle <= LATEST_SETTLE:
-        raise SamplingError(f"settle is {settle:g}; give a fraction of the period from 0 to {LATEST_SETTLE}")
+        raise SamplingError(
+            f"settle is {settle:g}; give a fraction of the period from 0 to {LATEST_SETTLE}"
+        )
     if not (math.isfinite(period) and period > 0):
         raise SamplingError(f"period is {period:g} s; it must be positive")
 
@@ -420,5 +460,7 @@ class SignalBuffer:
         begins = [max(stamp, start) for stamp, _ in before_end]
         ends = [*begins[1:], end]
         spans = zip(values, begins, ends, strict=True)
-        total = math.fsum(value * (span_end - begin) for value, begin, span_end in spans)
+        total = math.fsum(
+            value * (span_end - begin) for value, begin, span_end in spans
+        )
         return min(max(total / (end - start), min(values)), max(values))

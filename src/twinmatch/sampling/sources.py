@@ -33,7 +33,13 @@ import numpy as np
 
 from twinmatch.decoding import FiniteNumber, decoded
 from twinmatch.errors import TwinmatchError
-from twinmatch.sampling.channels import Channel, SamplingError, UnreadableError, parse_channel, usual_unit
+from twinmatch.sampling.channels import (
+    Channel,
+    SamplingError,
+    UnreadableError,
+    parse_channel,
+    usual_unit,
+)
 from twinmatch.sampling.formulas import Computing, formula_of
 from twinmatch.sampling.quoted import split_unquoted
 from twinmatch.sampling.written_numbers import WrittenNumber, written_number
@@ -46,7 +52,9 @@ INPUT: Final = "input"
 REFERENCE: Final = "reference"
 TIME: Final = "time"
 
-_FORM: Final = "write SIGNAL=COLUMN, such as output=T or 'output=T; unit=K; scale=0.1; offset=-40'"
+_FORM: Final = (
+    "write SIGNAL=COLUMN, such as output=T or 'output=T; unit=K; scale=0.1; offset=-40'"
+)
 Interval: TypeAlias = Literal["after", "before"]
 Number = TypeVar("Number", float, FloatArray)
 
@@ -78,7 +86,10 @@ class SignalSource:
         """The source as written on a command line."""
         parts = [self.formula or ", ".join(self.places)]
         if self.formula:
-            parts += [f"{name}={place}" for name, place in zip(self.names, self.places, strict=True)]
+            parts += [
+                f"{name}={place}"
+                for name, place in zip(self.names, self.places, strict=True)
+            ]
         if self.unit:
             parts.append(f"unit={self.unit}")
         if self.scale != 1:
@@ -86,7 +97,9 @@ class SignalSource:
         if self.offset != 0:
             parts.append(f"offset={self.offset:g}")
         if self.missing:
-            parts.append(f"missing={' '.join(f'{number:g}' for number in self.missing)}")
+            parts.append(
+                f"missing={' '.join(f'{number:g}' for number in self.missing)}"
+            )
         if self.interval != "after":
             parts.append(f"interval={self.interval}")
         parts += [f"{word}={number:g}" for word, number in self.words.items()]
@@ -97,7 +110,12 @@ class SignalSource:
         """The places, where commas separate them."""
         if self.formula:
             return self.places
-        return tuple(part for place in self.places for part in split_unquoted(place, ",") if part.strip())
+        return tuple(
+            part
+            for place in self.places
+            for part in split_unquoted(place, ",")
+            if part.strip()
+        )
 
     @property
     def is_plain(self) -> bool:
@@ -125,7 +143,9 @@ class SignalSource:
             raise UnreadableError(f"{number:g} means that there is no value")
         return number
 
-    def channels(self, signal: str, parse: Callable[[str], Channel] = parse_channel) -> tuple[Channel, ...]:
+    def channels(
+        self, signal: str, parse: Callable[[str], Channel] = parse_channel
+    ) -> tuple[Channel, ...]:
         """The places as channels; `parse` reads one, by default of a topic of ROS.
 
         Raises:
@@ -142,9 +162,15 @@ class SignalSource:
 
     def without_missing(self, numbers: FloatArray) -> FloatArray:
         """Numbers with nan for those that mean "no value", shape (N,)."""
-        return np.where(np.isin(numbers, self.missing), np.nan, numbers) if self.missing else numbers
+        return (
+            np.where(np.isin(numbers, self.missing), np.nan, numbers)
+            if self.missing
+            else numbers
+        )
 
-    def change(self, signal: str, place: str, wanted: str, stated: str = "", why: str = "") -> Conversion:
+    def change(
+        self, signal: str, place: str, wanted: str, stated: str = "", why: str = ""
+    ) -> Conversion:
         """Conversion of scale·number + offset to the unit that the plant's signal has.
 
         Args:
@@ -181,13 +207,19 @@ class SignalSource:
         ]
         return sum(parts[1:], parts[0]) / len(parts)
 
-    def computed(self, numbers: Sequence[FloatArray], seconds: FloatArray) -> FloatArray:
+    def computed(
+        self, numbers: Sequence[FloatArray], seconds: FloatArray
+    ) -> FloatArray:
         """The results of the formula, shape (N,), from the numbers of each place and their times (s)."""
         arguments = dict(zip(self.names, numbers, strict=True))
         return formula_of(self.formula).values(arguments, seconds)
 
     def follow(
-        self, signal: str, wanted: str, channels: Sequence[Channel], kinds: Sequence[str]
+        self,
+        signal: str,
+        wanted: str,
+        channels: Sequence[Channel],
+        kinds: Sequence[str],
     ) -> FollowedSignal:
         """The signal from messages of topics.
 
@@ -204,7 +236,11 @@ class SignalSource:
         for channel, kind in zip(channels, kinds, strict=True):
             # A number that the map scales is not in the unit of its message type.
             stated = usual_unit(kind, channel.path, wanted) if self.is_plain else ""
-            changes.append(self.change(signal, channel.text, wanted, stated, f" (according to {kind})"))
+            changes.append(
+                self.change(
+                    signal, channel.text, wanted, stated, f" (according to {kind})"
+                )
+            )
         computing = Computing(formula_of(self.formula)) if self.formula else None
         return FollowedSignal(self, tuple(channels), tuple(changes), wanted, computing)
 
@@ -238,7 +274,9 @@ class FollowedSignal(NamedTuple):
         if self.computing is None:
             return self.source.value(numbers, self.changes)
         arguments = dict(zip(self.source.names, numbers, strict=True))
-        return self.source.value([self.computing.value(arguments, seconds)], self.changes)
+        return self.source.value(
+            [self.computing.value(arguments, seconds)], self.changes
+        )
 
     def values(self, numbers: Sequence[FloatArray], seconds: FloatArray) -> FloatArray:
         """The same for many times, shapes (N,)."""
@@ -297,7 +335,9 @@ def parse_map(entries: Sequence[str]) -> SignalMap:
         if not (equals and signal):
             raise RecordingError(f"--map {entry!r}: {_FORM}")
         if signal in sources:
-            raise RecordingError(f"--map {entry!r}: {signal} is given twice; name each signal once")
+            raise RecordingError(
+                f"--map {entry!r}: {signal} is given twice; name each signal once"
+            )
         sources[signal] = parse_source(f"--map {entry!r}", text)
     return SignalMap(sources)
 
@@ -328,7 +368,9 @@ def _add_setting(entry: dict[str, Any], name: str, value: str) -> None:
         entry[name] = value
     elif name == "missing":
         entry[name] = [_plain_number(part) for part in value.replace(",", " ").split()]
-    elif name in _Source.__struct_fields__ or not name or not value or _is_misspelt(name):
+    elif (
+        name in _Source.__struct_fields__ or not name or not value or _is_misspelt(name)
+    ):
         entry[name] = number
     elif isinstance(number, float):
         entry.setdefault("words", {})[name] = number
@@ -338,11 +380,23 @@ def _add_setting(entry: dict[str, Any], name: str, value: str) -> None:
 
 def _is_misspelt(name: str) -> bool:
     """Whether a name is near that of a setting, or another word for one."""
-    return name.lower() in _OTHER_WORDS or bool(get_close_matches(name.lower(), _SETTINGS, cutoff=0.7))
+    return name.lower() in _OTHER_WORDS or bool(
+        get_close_matches(name.lower(), _SETTINGS, cutoff=0.7)
+    )
 
 
 _SETTINGS: Final = ("unit", "scale", "offset", "missing", "interval", "column")
-_OTHER_WORDS: Final = ("factor", "gain", "multiplier", "mult", "bias", "shift", "add", "type", "period")
+_OTHER_WORDS: Final = (
+    "factor",
+    "gain",
+    "multiplier",
+    "mult",
+    "bias",
+    "shift",
+    "add",
+    "type",
+    "period",
+)
 
 
 class _Source(msgspec.Struct, forbid_unknown_fields=True):
@@ -367,16 +421,24 @@ def source_of(place: str, entry: Any) -> SignalSource:
         return parse_source(place, entry)
     if isinstance(entry, str | list):
         entry = {"column": entry}
-    if isinstance(entry, dict) and isinstance(column := entry.get("column"), str) and _has_settings(column):
+    if (
+        isinstance(entry, dict)
+        and isinstance(column := entry.get("column"), str)
+        and _has_settings(column)
+    ):
         settings = {name: value for name, value in entry.items() if name != "column"}
         return replace(parse_source(place, column), **settings)
     source = decoded(entry, _Source, place, RecordingError)
     columns = source.column or source.columns
     columns = [columns] if isinstance(columns, str) else columns
     if not columns or not all(columns):
-        raise RecordingError(f"{place}: the column is missing; give one, or a list to average")
+        raise RecordingError(
+            f"{place}: the column is missing; give one, or a list to average"
+        )
     if source.scale == 0:
-        raise RecordingError(f"{place}: scale is 0, which makes the whole column 0; give another")
+        raise RecordingError(
+            f"{place}: scale is 0, which makes the whole column 0; give another"
+        )
     missing = source.missing if isinstance(source.missing, list) else [source.missing]
     words = {word.lower(): number for word, number in source.words.items()}
     made = SignalSource(
@@ -397,7 +459,9 @@ def _has_settings(column: str) -> bool:
     return any("=" in setting for setting in settings)
 
 
-def _with_formula(place: str, source: SignalSource, names: Mapping[str, str]) -> SignalSource:
+def _with_formula(
+    place: str, source: SignalSource, names: Mapping[str, str]
+) -> SignalSource:
     """The source with its text as a formula over these names.
 
     Raises:
@@ -422,7 +486,9 @@ def _with_formula(place: str, source: SignalSource, names: Mapping[str, str]) ->
         raise RecordingError(
             f"{place}: {missing[0]} in {formula.text!r} is not named; write '; {missing[0]}=PLACE' behind it"
         )
-    return replace(source, places=tuple(names.values()), formula=formula.text, names=tuple(names))
+    return replace(
+        source, places=tuple(names.values()), formula=formula.text, names=tuple(names)
+    )
 
 
 def _plain_number(text: str) -> Any:

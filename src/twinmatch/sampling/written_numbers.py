@@ -9,12 +9,23 @@ from typing import Final, NamedTuple
 from twinmatch.sampling.channels import UnreadableError
 
 WORDS: Final[Mapping[str, float]] = (
-    dict.fromkeys(("on", "true", "yes", "open", "heating", "heat", "preheating", "ein", "an"), 1.0)
+    dict.fromkeys(
+        ("on", "true", "yes", "open", "heating", "heat", "preheating", "ein", "an"), 1.0
+    )
     | dict.fromkeys(("off", "false", "no", "closed", "idle", "aus"), 0.0)
     | dict.fromkeys(("cooling", "cool"), -1.0)
 )
 """Words that mean the same everywhere, in small letters; what cools is opposed to what heats."""
-_UNDECIDED: Final = ("dry", "drying", "fan", "fan_only", "defrosting", "auto", "heat_cool", "eco")
+_UNDECIDED: Final = (
+    "dry",
+    "drying",
+    "fan",
+    "fan_only",
+    "defrosting",
+    "auto",
+    "heat_cool",
+    "eco",
+)
 """Words of climate devices whose effect depends on the plant."""
 _NUMBER: Final = re.compile(
     r"(?P<number>[-+−]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>[^\d\s.,:;_=+-][^,:;_=]*)?"
@@ -35,7 +46,9 @@ class WrittenNumber(NamedTuple):
     """Empty without one."""
 
 
-def written_number(text: str, words: Mapping[str, float] | None = None) -> WrittenNumber:
+def written_number(
+    text: str, words: Mapping[str, float] | None = None
+) -> WrittenNumber:
     """The number that a text is: `21.5`, `17.99 °C`, `0%`, `21,5`, `heating`, or a word of these `words`.
 
     Raises:
@@ -57,7 +70,9 @@ def written_number(text: str, words: Mapping[str, float] | None = None) -> Writt
     if _THOUSANDS.fullmatch(digits):
         with_point = digits.replace(",", ".")
         without = digits.replace(",", "")
-        raise UnreadableError(f"{plain!r} may be {with_point} or {without}; have it written with a point")
+        raise UnreadableError(
+            f"{plain!r} may be {with_point} or {without}; have it written with a point"
+        )
     unit = (match["unit"] or "").strip()
     return WrittenNumber(float(digits.replace(",", ".").replace("−", "-")), unit)
 

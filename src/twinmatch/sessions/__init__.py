@@ -9,7 +9,12 @@ reads both, a truncated file as far as it goes. `twinmatch.importing` makes sess
 from twinmatch.sessions.files import SessionError
 from twinmatch.sessions.messages import Message, Qos, Topic, plant_topics
 from twinmatch.sessions.reader import Session, read_session
-from twinmatch.sessions.recording import Recording, RecordingLimits, samples_of, write_session
+from twinmatch.sessions.recording import (
+    Recording,
+    RecordingLimits,
+    samples_of,
+    write_session,
+)
 from twinmatch.sessions.writer import SessionWriter
 
 __all__ = [

@@ -40,18 +40,22 @@ def encode(topic: Topic, tree: Tree, stamp: int | None = None) -> bytes:
     """Encode a record of `twinmatch.record`; `stamp` (ns) is that of the sample behind it, if it has one."""
     encoder, numbers = _encoder(topic)
     whole = dict(tree)
-    for name in [name for name in tree if name.endswith("_name")]:  # a word, beside its number
+    for name in [name for name in tree if name.endswith("_name")]:
+        # a word, beside its number
         whole[name.removesuffix("_name")] = numbers[tree[name].upper()]
     if stamp is not None:
         seconds, nanoseconds = divmod(stamp, NANOSECONDS)
-        whole["header"] = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": ""}
+        whole["header"] = {
+            "stamp": {"sec": seconds, "nanosec": nanoseconds},
+            "frame_id": "",
+        }
     return encoder(whole)
 
 
 @cache
 def _encoder(topic: Topic) -> tuple[Callable[[Any], bytes], Mapping[str, int]]:
     """Encodes messages of a topic, and the numbers of its words."""
-    from mcap_ros2._dynamic import serialize_dynamic  # noqa: PLC0415 - only runs without ROS need it
+    from mcap_ros2._dynamic import serialize_dynamic  # noqa: PLC0415
 
     matches = map(_CONSTANT.fullmatch, fields_of(topic.schema))
     numbers = {match[1]: int(match[2]) for match in matches if match}
@@ -61,7 +65,9 @@ def _encoder(topic: Topic) -> tuple[Callable[[Any], bytes], Mapping[str, int]]:
 _CONSTANT: Final = re.compile(r"uint8 ([A-Z_]+) ?= ?(\d+)")
 
 
-def plant_messages(samples: Iterable[Sample], topics: Collection[Topic] = PLANT_TOPICS) -> Iterator[Message]:
+def plant_messages(
+    samples: Iterable[Sample], topics: Collection[Topic] = PLANT_TOPICS
+) -> Iterator[Message]:
     """The messages that the plant publishes for these samples, in the order of a live loop.
 
     The reference comes first (only when it changed), then the temperature, then the sample.
@@ -80,7 +86,12 @@ def plant_messages(samples: Iterable[Sample], topics: Collection[Topic] = PLANT_
             reference = sample.reference
             yield Message(REFERENCE, stamp, stamp, encode_float64(reference))
         if TEMPERATURE_READING in topics:
-            yield Message(TEMPERATURE_READING, stamp, stamp, encode_temperature(stamp, sample.output))
+            yield Message(
+                TEMPERATURE_READING,
+                stamp,
+                stamp,
+                encode_temperature(stamp, sample.output),
+            )
         yield Message(SAMPLE, stamp, stamp, encode_sample(sample))
 
 
@@ -96,7 +107,9 @@ def current(message: Message) -> Message:
     old = decoded(message)
     stamp = old.header.stamp.sec * NANOSECONDS + old.header.stamp.nanosec
     sample = Sample(old.index, stamp, old.reference, old.temperature, old.pwm)
-    return message._replace(topic=topic, data=encode_sample(sample, old.header.frame_id))
+    return message._replace(
+        topic=topic, data=encode_sample(sample, old.header.frame_id)
+    )
 
 
 def decoded(message: Message) -> Any:
@@ -116,11 +129,14 @@ def decoded(message: Message) -> Any:
 @lru_cache(maxsize=16)
 def _decoder(topic: Topic) -> Callable[[bytes], Any]:
     """Decodes messages by the definition in their file."""
-    from mcap.records import Schema  # noqa: PLC0415 - only old sessions need it
+    from mcap.records import Schema  # noqa: PLC0415
     from mcap_ros2.decoder import DecoderFactory  # noqa: PLC0415
 
-    schema = Schema(id=1, name=topic.type, encoding="ros2msg", data=topic.schema.encode())
-    with redirect_stderr(StringIO()):  # the library prints a damaged definition before it raises
+    schema = Schema(
+        id=1, name=topic.type, encoding="ros2msg", data=topic.schema.encode()
+    )
+    with redirect_stderr(StringIO()):
+        # the library prints a damaged definition before it raises
         decoder: Callable[[bytes], Any] = DecoderFactory().decoder_for("cdr", schema)
     return decoder
 
@@ -146,7 +162,9 @@ def _stamped(frame: bytes, fields: str) -> struct.Struct:
 def _header(stamp: int, frame: str) -> tuple[bytes, int, int, int, bytes]:
     seconds, nanoseconds = divmod(stamp, NANOSECONDS)
     if not 0 <= seconds < 2**31:
-        raise SessionError(f"session: the stamp {stamp} ns is outside 1970 to 2038, the range of ROS time")
+        raise SessionError(
+            f"session: the stamp {stamp} ns is outside 1970 to 2038, the range of ROS time"
+        )
     raw = frame.encode() + b"\0"
     return _LITTLE, seconds, nanoseconds, len(raw), raw
 
@@ -181,7 +199,9 @@ def _arrays(lengths: tuple[int, ...]) -> str:
     return fields
 
 
-def encode_temperature(stamp: int, temperature: float, variance: float = 0.0, frame: str = FRAME) -> bytes:
+def encode_temperature(
+    stamp: int, temperature: float, variance: float = 0.0, frame: str = FRAME
+) -> bytes:
     """Encode a `sensor_msgs/msg/Temperature`, °C and °C²; a variance of 0 means unknown.
 
     Raises:
@@ -210,13 +230,17 @@ def decode_sample(data: bytes) -> Sample:
         seconds, nanoseconds, length = _HEADER[order].unpack_from(data, 4)
         position = 4 + (12 + length + 7) // 8 * 8
         lengths = _lengths(order, data, position + 8)
-        index, *_ = values = struct.unpack_from(order + _arrays(lengths), data, position)
+        index, *_ = values = struct.unpack_from(
+            order + _arrays(lengths), data, position
+        )
     except struct.error:
         msg = f"session: a LoopSample of {len(data)} bytes is too short for its fields"
         raise SessionError(msg) from None
     if missing := incomplete(index, lengths[:3]):
         raise SessionError(f"session: {missing}")
-    _, outputs, inputs, behind = accumulate((length + 1 for length in lengths[:3]), initial=2)
+    _, outputs, inputs, behind = accumulate(
+        (length + 1 for length in lengths[:3]), initial=2
+    )
     return Sample(
         index,
         seconds * NANOSECONDS + nanoseconds,
@@ -232,5 +256,9 @@ def _lengths(order: str, data: bytes, position: int) -> tuple[int, ...]:
     lengths = []
     for _ in range(4):
         lengths.append(_LENGTH[order].unpack_from(data, position)[0])
-        position = 4 + (position + 7) // 8 * 8 + 8 * lengths[-1] if lengths[-1] else position + 4
+        position = (
+            4 + (position + 7) // 8 * 8 + 8 * lengths[-1]
+            if lengths[-1]
+            else position + 4
+        )
     return tuple(lengths)

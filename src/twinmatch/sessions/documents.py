@@ -33,7 +33,9 @@ WHOLE = 2**63
 """Limit of whole numbers, as in messages and parameters of ROS."""
 
 _PREFIX: Final = "tag:yaml.org,2002:"
-_SCALARS: Final = tuple(f"{_PREFIX}{kind}" for kind in ("null", "bool", "int", "float", "str"))
+_SCALARS: Final = tuple(
+    f"{_PREFIX}{kind}" for kind in ("null", "bool", "int", "float", "str")
+)
 _MERGE: Final = f"{_PREFIX}merge"
 _Safe: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -60,7 +62,9 @@ def read_text(path: Path) -> str:
     try:
         return read_bounded(path, MAX_BYTES).decode("utf-8-sig")
     except OSError as error:
-        raise DocumentError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise DocumentError(
+            f"{path}: cannot be read: {error.strerror or error}"
+        ) from error
     except UnicodeDecodeError as error:
         raise DocumentError(f"{path}: is not UTF-8 text (byte {error.start})") from None
 
@@ -145,7 +149,9 @@ class _PlainLoader(_Safe):  # type: ignore[misc]  # whichever of the two is inst
         super().descend_resolver(parent, index)
         self._nodes += 1
         if parent is not None and self._nodes > MAX_VALUES:
-            raise _RefusedError(parent, f"the document has more than {MAX_VALUES} values")
+            raise _RefusedError(
+                parent, f"the document has more than {MAX_VALUES} values"
+            )
 
     def get_single_data(self) -> Any:
         """The value of the only document; None for an empty stream."""
@@ -195,7 +201,10 @@ class _PlainLoader(_Safe):  # type: ignore[misc]  # whichever of the two is inst
         if node.tag not in _SCALARS:
             raise _RefusedError(node, f"has a {node.tag[:60]}, which is not supported")
         if len(text) > MAX_DIGITS:
-            raise _RefusedError(node, f"{text[:20]}… is too long for a number; write it with an exponent")
+            raise _RefusedError(
+                node,
+                f"{text[:20]}… is too long for a number; write it with an exponent",
+            )
         try:
             value = self.construct_object(node)
         except (ValueError, LookupError, OverflowError):
@@ -207,7 +216,8 @@ class _PlainLoader(_Safe):  # type: ignore[misc]  # whichever of the two is inst
             raise _RefusedError(node, f"{shown(text)} is too large for a number")
         if type(value) is int and abs(value) >= WHOLE:
             raise _RefusedError(
-                node, f"{shown(text)} is too large for a whole number; write it with an exponent"
+                node,
+                f"{shown(text)} is too large for a whole number; write it with an exponent",
             )
         return value
 

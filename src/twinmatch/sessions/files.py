@@ -51,7 +51,9 @@ class DiskError(SessionError):
         why = f"{folder.parent} cannot be written ({error.strerror or error})"
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             why = f"no space left in {folder.parent}"
-        return cls(f"session {folder.name}: {why} {when}; free some disk space or choose another folder")
+        return cls(
+            f"session {folder.name}: {why} {when}; free some disk space or choose another folder"
+        )
 
 
 class RecordingError(SessionError):
@@ -65,7 +67,7 @@ def open_regular(path: Path) -> BinaryIO:
         OSError: it does not exist, is not a regular file, or cannot be opened.
     """
     try:
-        _require_regular(os.stat(path).st_mode)  # noqa: PTH116 - as `fstat` below
+        _require_regular(os.stat(path).st_mode)  # noqa: PTH116
         # It may have been replaced since: O_NONBLOCK keeps the call from waiting for a pipe's writer.
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except ValueError as error:  # a name with a zero byte in it
@@ -79,7 +81,9 @@ def open_regular(path: Path) -> BinaryIO:
     return file
 
 
-def part_of(progress: ProgressCallback | None, number: int, count: int) -> ProgressCallback | None:
+def part_of(
+    progress: ProgressCallback | None, number: int, count: int
+) -> ProgressCallback | None:
     """The callback for one task, `number` from 0, of `count` equally long ones, one after the other."""
     if progress is None:
         return None
@@ -95,7 +99,9 @@ def read_bounded(path: Path, most: int) -> bytes:
     with open_regular(path) as file:
         content = file.read(most + 1)
     if len(content) > most:
-        raise OSError(errno.EFBIG, f"has more than {most} bytes, the limit for such a file")
+        raise OSError(
+            errno.EFBIG, f"has more than {most} bytes, the limit for such a file"
+        )
     return content
 
 
@@ -119,7 +125,9 @@ def lines_of(
         while line := text.readline(MAX_LINE):
             number += 1
             if len(line) == MAX_LINE and not line.endswith("\n"):
-                raise OSError(errno.EFBIG, f"line {number} has more than {MAX_LINE} characters")
+                raise OSError(
+                    errno.EFBIG, f"line {number} has more than {MAX_LINE} characters"
+                )
             if progress is not None and number % LINES_BETWEEN == 0:
                 progress(min(file.tell(), size), size)
             yield line.rstrip("\n")

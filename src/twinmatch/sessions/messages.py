@@ -28,7 +28,9 @@ from twinmatch.signals import Sample
 def fields_of(schema: str) -> list[str]:
     """The field lines of a schema's first type, without comments and extra spaces."""
     first_type = schema.split("=" * 80, maxsplit=1)[0]
-    lines = (" ".join(line.split("#", 1)[0].split()) for line in first_type.splitlines())
+    lines = (
+        " ".join(line.split("#", 1)[0].split()) for line in first_type.splitlines()
+    )
     return [line for line in lines if line]
 
 
@@ -52,18 +54,25 @@ def schema_of(kind: str, environment: Mapping[str, str] = os.environ) -> str:
     Raises:
         SessionError: the type or a nested one is not installed, or `kind` is not such a name.
     """
-    prefixes = [*filter(None, environment.get("AMENT_PREFIX_PATH", "").split(":")), sys.prefix]
+    prefixes = [
+        *filter(None, environment.get("AMENT_PREFIX_PATH", "").split(":")),
+        sys.prefix,
+    ]
 
     def text(part: str) -> str:
         match = re.fullmatch(r"(\w+)/msg/(\w+)", part)
         if match is None:
-            raise SessionError(f"session: {part!r} is not a message type; give package/msg/Type")
+            raise SessionError(
+                f"session: {part!r} is not a message type; give package/msg/Type"
+            )
         for prefix in prefixes:
             path = Path(prefix) / "share" / match[1] / "msg" / f"{match[2]}.msg"
             if path.is_file():
                 return path.read_text("utf-8")
         looked = ", ".join(prefixes)
-        raise SessionError(f"session: the definition of {part} is not installed; looked in {looked}")
+        raise SessionError(
+            f"session: the definition of {part} is not installed; looked in {looked}"
+        )
 
     return _schema(kind, text)
 
@@ -88,7 +97,9 @@ def _schema(kind: str, text: Callable[[str], str]) -> str:
 def _parts(owner: str, text: str) -> Iterator[str]:
     for field in fields_of(text):
         kind = re.split(r"[\[<\s]", field)[0]
-        package, *_, name = kind.split("/") if "/" in kind else (owner.split("/", 1)[0], kind)
+        package, *_, name = (
+            kind.split("/") if "/" in kind else (owner.split("/", 1)[0], kind)
+        )
         if name[0].isupper():  # not a number or text, perhaps a constant
             yield f"{package}/msg/{name}"
 
@@ -158,7 +169,10 @@ class Message(NamedTuple):
 def topic_of(name: str, kind: str, type_hash: str, qos: Qos) -> Topic:
     """A topic of one of the types in `definitions`."""
     folder = Path(__file__).with_name("definitions")
-    schema = _schema(kind, lambda part: (folder / f"{part.rpartition('/')[2]}.msg").read_text("utf-8"))
+    schema = _schema(
+        kind,
+        lambda part: (folder / f"{part.rpartition('/')[2]}.msg").read_text("utf-8"),
+    )
     return Topic(name, kind, schema, type_hash, qos)
 
 
@@ -186,14 +200,20 @@ PLANT_TOPICS = (SAMPLE, TEMPERATURE_READING, REFERENCE)
 """Topics that follow from the samples alone; the *applied* PWM does not."""
 
 
-def plant_topics(output_units: Sequence[str], *, has_reference: bool) -> tuple[Topic, ...]:
+def plant_topics(
+    output_units: Sequence[str], *, has_reference: bool
+) -> tuple[Topic, ...]:
     """Topics of a plant whose outputs have these units; only °C is a temperature, only a loop has set-points.
 
     Of several outputs there are samples only.
     """
     unit = output_units[0] if len(output_units) == 1 else None
     wanted = (True, unit == "°C", has_reference and unit is not None)
-    return tuple(topic for topic, is_wanted in zip(PLANT_TOPICS, wanted, strict=True) if is_wanted)
+    return tuple(
+        topic
+        for topic, is_wanted in zip(PLANT_TOPICS, wanted, strict=True)
+        if is_wanted
+    )
 
 
 def topics_of(samples: Sequence[Sample]) -> tuple[Topic, ...]:
@@ -212,7 +232,10 @@ def current_topic(topic: Topic) -> Topic:
 _KINDS: Final = {
     "/twin/match": ("Match", Qos(depth=1000)),
     "/twin/model_score": ("ModelScore", Qos(depth=1000)),
-    "/plant/description": ("PlantDescription", Qos(durability="transient_local", depth=1)),
+    "/plant/description": (
+        "PlantDescription",
+        Qos(durability="transient_local", depth=1),
+    ),
 }
 
 

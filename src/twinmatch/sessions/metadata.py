@@ -13,7 +13,12 @@ from typing import Any, Final, NamedTuple
 
 import yaml
 
-from twinmatch.sessions.documents import DocumentError, parse_json, parse_yaml, read_yaml
+from twinmatch.sessions.documents import (
+    DocumentError,
+    parse_json,
+    parse_yaml,
+    read_yaml,
+)
 from twinmatch.sessions.files import SessionError
 from twinmatch.sessions.messages import Qos, Topic
 
@@ -94,7 +99,8 @@ class Summary(NamedTuple):
             "compression_mode": "",
             "relative_file_paths": [part.file for part in self.parts],
             "files": [
-                {"path": part.file, **_extent(part.start, part.end, part.messages)} for part in self.parts
+                {"path": part.file, **_extent(part.start, part.end, part.messages)}
+                for part in self.parts
             ],
             "custom_data": None,
             "ros_distro": self.ros_distro,
@@ -121,12 +127,19 @@ def parse_qos(text: str) -> Qos:
     """
     try:
         profile = parse_yaml(text, "offered_qos_profiles")[0]
-        reliability = {1: "reliable", 2: "best_effort"}.get(profile["reliability"], profile["reliability"])
-        durability = {1: "transient_local", 2: "volatile"}.get(profile["durability"], profile["durability"])
+        reliability = {1: "reliable", 2: "best_effort"}.get(
+            profile["reliability"], profile["reliability"]
+        )
+        durability = {1: "transient_local", 2: "volatile"}.get(
+            profile["durability"], profile["durability"]
+        )
         depth = int(profile["depth"])
     except (ValueError, TypeError, LookupError):
         return Qos()
-    if reliability not in {"reliable", "best_effort"} or durability not in {"volatile", "transient_local"}:
+    if reliability not in {"reliable", "best_effort"} or durability not in {
+        "volatile",
+        "transient_local",
+    }:
         return Qos()
     # A recorder sees depth 0 where discovery does not report it.
     return Qos(reliability, durability, depth if depth > 0 else Qos().depth)
@@ -148,7 +161,9 @@ def _by_number(file: Path) -> tuple[int, str]:
     return len(file.name), file.name
 
 
-def files_of(folder: Path, wanted: Callable[[Path], bool]) -> tuple[list[Path], list[str]]:
+def files_of(
+    folder: Path, wanted: Callable[[Path], bool]
+) -> tuple[list[Path], list[str]]:
     """The files of a recording in their order, and what is to be said of them, as sentences.
 
     They are those listed in `metadata.yaml`, all wanted ones without it.
@@ -156,11 +171,20 @@ def files_of(folder: Path, wanted: Callable[[Path], bool]) -> tuple[list[Path], 
     in_folder = sorted(filter(wanted, folder.iterdir()), key=_by_number)
     listed = [folder / name for name in files_listed(folder)]
     if not listed:
-        return in_folder, [f"{METADATA} is missing or unreadable: the recording was not finished"]
+        return in_folder, [
+            f"{METADATA} is missing or unreadable: the recording was not finished"
+        ]
     present = [file for file in listed if file.is_file() and wanted(file)]
-    notes = [f"{file.name} is listed in {METADATA} but missing" for file in listed if file not in present]
+    notes = [
+        f"{file.name} is listed in {METADATA} but missing"
+        for file in listed
+        if file not in present
+    ]
     stray = [file.name for file in in_folder if file not in listed]
-    notes += [f"{name} is not listed in {METADATA} and is left out; read it alone" for name in stray]
+    notes += [
+        f"{name} is not listed in {METADATA} and is left out; read it alone"
+        for name in stray
+    ]
     return present, notes
 
 
@@ -187,8 +211,14 @@ def miscounted(listed: Mapping[str, int], counted: Mapping[str, int]) -> list[st
     if not wrong:
         return []
     text = ", ".join(wrong[:_MOST_TOLD])
-    further = f" and others of {len(wrong) - _MOST_TOLD} more topics" if len(wrong) > _MOST_TOLD else ""
-    return [f"{METADATA} lists other numbers of messages than the files hold: {text}{further}"]
+    further = (
+        f" and others of {len(wrong) - _MOST_TOLD} more topics"
+        if len(wrong) > _MOST_TOLD
+        else ""
+    )
+    return [
+        f"{METADATA} lists other numbers of messages than the files hold: {text}{further}"
+    ]
 
 
 def mcap_files(folder: Path) -> list[Path]:
@@ -199,7 +229,9 @@ def mcap_files(folder: Path) -> list[Path]:
     """
     files = sorted(filter(is_mcap, folder.iterdir()), key=_by_number)
     if not files:
-        raise SessionError(f"session {folder}: is not a session: the folder has no MCAP file")
+        raise SessionError(
+            f"session {folder}: is not a session: the folder has no MCAP file"
+        )
     return files
 
 
@@ -251,7 +283,9 @@ def parameters_record(node: str) -> str:
     return PARAMETERS + node
 
 
-def parameters_of(records: Mapping[str, Mapping[str, str]], node: str) -> dict[str, Any] | None:
+def parameters_of(
+    records: Mapping[str, Mapping[str, str]], node: str
+) -> dict[str, Any] | None:
     """The parameters of a node (full name); None if they were not recorded.
 
     Raises:
@@ -263,7 +297,9 @@ def parameters_of(records: Mapping[str, Mapping[str, str]], node: str) -> dict[s
     try:
         return {name: parse_json(value, name) for name, value in record.items()}
     except DocumentError as error:
-        raise SessionError(f"session: the recorded parameters of {node} cannot be read: {error}") from error
+        raise SessionError(
+            f"session: the recorded parameters of {node} cannot be read: {error}"
+        ) from error
 
 
 def plant_of(records: Mapping[str, Mapping[str, str]]) -> str:
@@ -281,5 +317,12 @@ def plant_of(records: Mapping[str, Mapping[str, str]]) -> str:
 def has_reference(records: Mapping[str, Mapping[str, str]]) -> bool:
     """Whether the session's set-points are meaningful; False if an import found none, or the sampler had no
     topic for them."""
-    topics = (values.get(SAMPLED) for name, values in records.items() if name.startswith(PARAMETERS))
-    return records.get(PLANT, {}).get("reference", "") != NO_REFERENCE and '""' not in topics
+    topics = (
+        values.get(SAMPLED)
+        for name, values in records.items()
+        if name.startswith(PARAMETERS)
+    )
+    return (
+        records.get(PLANT, {}).get("reference", "") != NO_REFERENCE
+        and '""' not in topics
+    )

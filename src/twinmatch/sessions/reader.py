@@ -203,7 +203,9 @@ def _continues(piece: Path, first: str) -> bool:
 def _join(sessions: Sequence[Session], path: Path, left_out: Sequence[str]) -> Session:
     """Sessions of one run as one: the last that begins at its beginning, and later messages of others."""
     begin = min(session.samples[0].index for session in sessions)
-    base = max(k for k, session in enumerate(sessions) if session.samples[0].index == begin)
+    base = max(
+        k for k, session in enumerate(sessions) if session.samples[0].index == begin
+    )
     whole = sessions[base]
     later = sessions[base + 1 :]
     parts = (whole, *later)
@@ -214,7 +216,9 @@ def _join(sessions: Sequence[Session], path: Path, left_out: Sequence[str]) -> S
     for session in later:
         notes += doubts(session.records)
     if later:
-        source: Callable[[], Iterable[Message]] = _one_after_another([session.source for session in parts])
+        source: Callable[[], Iterable[Message]] = _one_after_another(
+            [session.source for session in parts]
+        )
         counts: Mapping[str, int] = Counter(message.topic.name for message in source())
     else:
         source = whole.source
@@ -274,13 +278,21 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
         topics_by_name |= {recorded.name: recorded for recorded in scan.topics}
         records |= scan.records
     topics = list(topics_by_name.values())
-    name = named(path.resolve().name if path.is_dir() else re.sub(r"_\d+$", "", path.stem))
+    name = named(
+        path.resolve().name if path.is_dir() else re.sub(r"_\d+$", "", path.stem)
+    )
     faults = [f"{scan.path.name}: {scan.fault}" for scan in scans if scan.fault]
     place = "; ".join([f"session {name}", *faults])
     chosen = _plant_topic(topics, topic, place)
-    samples = [decode_sample(current(message).data) for message in raw.get(chosen.name, [])]
+    samples = [
+        decode_sample(current(message).data) for message in raw.get(chosen.name, [])
+    ]
     check_samples(samples, place)
-    missing = [*notes, *(_extent(fault, samples) for fault in faults), *repairs(records)]
+    missing = [
+        *notes,
+        *(_extent(fault, samples) for fault in faults),
+        *repairs(records),
+    ]
     if path.is_dir() and not missing:
         missing = miscounted(counts_listed(path), counts)
     return Session(
@@ -306,11 +318,16 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
     )
 
 
-def _with_progress(scans: Sequence[Scan], progress: ProgressCallback | None) -> Iterator[Message]:
+def _with_progress(
+    scans: Sequence[Scan], progress: ProgressCallback | None
+) -> Iterator[Message]:
     """The messages of all files, with calls of `progress` in between."""
     for number, message in enumerate(chain.from_iterable(scans), 1):
         if progress is not None and number % MESSAGES_BETWEEN == 0:
-            progress(sum(scan.read for scan in scans), sum(scan.path.stat().st_size for scan in scans))
+            progress(
+                sum(scan.read for scan in scans),
+                sum(scan.path.stat().st_size for scan in scans),
+            )
         yield message
 
 
@@ -331,9 +348,13 @@ def _plant_topic(topics: list[Topic], wanted: str | None, place: str) -> Topic:
         plants = [topic for topic in plants if topic.name == wanted]
     if not plants:
         asked = f"topic {wanted}" if wanted else f"topic ending in {SUFFIX}"
-        raise SessionError(f"{place}: has no {asked} of type {SAMPLE.type}; it has {_names(topics)}")
+        raise SessionError(
+            f"{place}: has no {asked} of type {SAMPLE.type}; it has {_names(topics)}"
+        )
     if len(plants) > 1:
-        raise SessionError(f"{place}: has samples of several rigs ({_names(plants)}); give the topic to use")
+        raise SessionError(
+            f"{place}: has samples of several rigs ({_names(plants)}); give the topic to use"
+        )
     if fields_of(current_topic(plants[0]).schema) != fields_of(SAMPLE.schema):
         raise SessionError(
             f"{place}: {plants[0].name} was recorded with another definition of LoopSample; "
@@ -366,7 +387,9 @@ def _clock(samples: list[Sample]) -> list[str]:
     for before, after in pairwise(samples):
         seconds = (after.stamp - before.stamp) / 1e9
         if after.index == before.index + 1 and not 0 < seconds < 2 * period:
-            return [f"the stamps step by {seconds:g} s from sample {before.index} to {after.index}"]
+            return [
+                f"the stamps step by {seconds:g} s from sample {before.index} to {after.index}"
+            ]
     return []
 
 

@@ -54,9 +54,15 @@ class DiskFullError(DiskError):
 class RecordingLimits:
     """When to split a file and when to stop; finishing a session needs some disk space."""
 
-    min_free_mb: float = setting(200.0, "Free disk space below which recording stops.", "MB", 0.0, 1e9)
-    split_mb: float = setting(0.0, "Size at which a new file is started; 0: never.", "MB", 0.0, 1e6)
-    split_s: float = setting(0.0, "Time after which a new file is started; 0: never.", "s", 0.0, 1e7)
+    min_free_mb: float = setting(
+        200.0, "Free disk space below which recording stops.", "MB", 0.0, 1e9
+    )
+    split_mb: float = setting(
+        0.0, "Size at which a new file is started; 0: never.", "MB", 0.0, 1e6
+    )
+    split_s: float = setting(
+        0.0, "Time after which a new file is started; 0: never.", "s", 0.0, 1e7
+    )
 
 
 class Recording(SessionWriter):
@@ -111,7 +117,9 @@ class Recording(SessionWriter):
         part = self.part
         limits = self.limits
         span = (part.end - part.start) / NANOSECONDS
-        return (0 < limits.split_mb <= self.size / MEGABYTE) or (0 < limits.split_s <= span)
+        return (0 < limits.split_mb <= self.size / MEGABYTE) or (
+            0 < limits.split_s <= span
+        )
 
     def _require_space(self, folder: Path, consequence: str) -> None:
         free = self._free(folder) / MEGABYTE
@@ -193,14 +201,20 @@ def write_session(
             _write(scratch / target.name, samples, topics, progress, records or {})
             _move(scratch / target.name, target, scratch / "replaced")
     except OSError as error:
-        raise SessionError(f"session {target}: cannot be {step} ({error.strerror})") from error
+        raise SessionError(
+            f"session {target}: cannot be {step} ({error.strerror})"
+        ) from error
     return target
 
 
 @contextmanager
 def _scratch(target: Path) -> Iterator[Path]:
     """A hidden folder beside a session, for what will take its place; it is removed at the end."""
-    scratch = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".partial", dir=target.parent))
+    scratch = Path(
+        tempfile.mkdtemp(
+            prefix=f".{target.name}.", suffix=".partial", dir=target.parent
+        )
+    )
     try:
         yield scratch
     finally:
@@ -233,7 +247,9 @@ def _write(
                 written += 1
                 if progress is not None and written % SAMPLES_BETWEEN == 0:
                     progress(written, len(samples))
-            writer.write(message.topic.name, message.data, message.log_time, message.publish_time)
+            writer.write(
+                message.topic.name, message.data, message.log_time, message.publish_time
+            )
 
 
 def _move(written: Path, target: Path, aside: Path) -> None:
@@ -255,7 +271,9 @@ def _check_target(target: Path, overwrite: bool) -> None:
     if not (target.exists() or target.is_symlink()):
         return
     if not overwrite:
-        raise SessionError(f"session {target}: exists already; choose another name or ask to overwrite it")
+        raise SessionError(
+            f"session {target}: exists already; choose another name or ask to overwrite it"
+        )
     if not _is_session(target):
         msg = f"session {target}: is not a session and will not be overwritten; choose another name"
         raise SessionError(msg)
@@ -265,7 +283,9 @@ def _is_session(folder: Path) -> bool:
     if folder.is_symlink() or not folder.is_dir():
         return False
     names = [path.name for path in folder.iterdir()]
-    return bool(names) and all(name == METADATA or name.endswith(".mcap") for name in names)
+    return bool(names) and all(
+        name == METADATA or name.endswith(".mcap") for name in names
+    )
 
 
 BROKEN = ".broken"
@@ -318,7 +338,9 @@ def repair_session(folder: Path | str) -> Repair:
         if repair.faults:
             repair = _rebuild(folder, broken, files, repair)
     except OSError as error:
-        raise SessionError(f"session {folder}: cannot be repaired ({error.strerror or error})") from error
+        raise SessionError(
+            f"session {folder}: cannot be repaired ({error.strerror or error})"
+        ) from error
     return repair
 
 
@@ -334,7 +356,9 @@ def _files_at_rest(folder: Path) -> list[Path]:
     busy = [file.name for file in files if being_written(file)]
     if busy or files != _files(folder):
         subject = f"{busy[0]} is" if busy else "its files are"
-        raise SessionError(f"session {folder}: {subject} still being written; end its recorder first")
+        raise SessionError(
+            f"session {folder}: {subject} still being written; end its recorder first"
+        )
     return files
 
 
@@ -368,7 +392,9 @@ def _examine(folder: Path, files: list[Path]) -> Repair:
     elif sorted(listed) != sorted(file.name for file in files):
         faults.append(f"{METADATA} does not list the files that exist")
     faults += miscounted(counts_listed(folder), counts)
-    return Repair(folder, tuple(faults), counts.total(), start if counts else 0, end, None)
+    return Repair(
+        folder, tuple(faults), counts.total(), start if counts else 0, end, None
+    )
 
 
 def _is_own(scan: Scan) -> bool:
@@ -384,7 +410,9 @@ def _rebuild(folder: Path, broken: Path, files: list[Path], repair: Repair) -> R
         msg = f"session {folder}: {'; '.join(repair.faults)}; no message can be read, nothing was changed"
         raise SessionError(msg)
     if broken.exists():
-        raise SessionError(f"session {folder}: {broken} of an earlier repair exists; move or remove it first")
+        raise SessionError(
+            f"session {folder}: {broken} of an earlier repair exists; move or remove it first"
+        )
     readable = [file for file in files if file.stat().st_size]
     with _scratch(folder) as scratch:
         copy = scratch / folder.name
@@ -417,12 +445,19 @@ def _rewrite(copy: Path, files: list[Path], repair: Repair, ros_distro: str) -> 
             scan = Scan(file)
             for message in scan:
                 writer.add_topic(message.topic)
-                writer.write(message.topic.name, message.data, message.log_time, message.publish_time)
+                writer.write(
+                    message.topic.name,
+                    message.data,
+                    message.log_time,
+                    message.publish_time,
+                )
             for topic in scan.topics:  # those without messages
                 writer.add_topic(topic)
             for name, values in scan.records.items():
                 if name == REPAIRED and damages:
-                    writer.add_record(name, {"faults": "; ".join([*values.values(), *damages])})
+                    writer.add_record(
+                        name, {"faults": "; ".join([*values.values(), *damages])}
+                    )
                 elif name != "rosbag2":
                     writer.add_record(name, values)
 
@@ -431,7 +466,12 @@ def _compare(copy: Path, files: list[Path]) -> None:
     """Check that the copy is complete and has the messages of the original."""
     written = _files(copy)
     for new, old in zip_longest(messages_of(written), messages_of(files)):
-        if new is None or old is None or not new.is_sound or new != old._replace(is_sound=True):
+        if (
+            new is None
+            or old is None
+            or not new.is_sound
+            or new != old._replace(is_sound=True)
+        ):
             msg = f"session {copy.name}: the repaired copy differs from the original; nothing was changed"
             raise SessionError(msg)
     faults = _examine(copy, written).faults

@@ -140,17 +140,23 @@ class Walk:
         head = self._head(place)
         if head is not None and self._is_clear(place, *head):
             opcode, length = head
-            return FileRecord(opcode, place, self._bytes(place + HEAD.size, length), length)
+            return FileRecord(
+                opcode, place, self._bytes(place + HEAD.size, length), length
+            )
         if self._chunks is None:
             self._chunks = self._index()
             self._starts = sorted(self._chunks)
         if place in self._chunks:
             self._count_gap()
             length = self._chunks[place]
-            return FileRecord(Opcode.CHUNK, place, self._bytes(place + HEAD.size, length), length)
+            return FileRecord(
+                Opcode.CHUNK, place, self._bytes(place + HEAD.size, length), length
+            )
         if head is not None and self._is_possible(place, *head):
             opcode, length = head
-            return FileRecord(opcode, place, self._bytes(place + HEAD.size, length), length)
+            return FileRecord(
+                opcode, place, self._bytes(place + HEAD.size, length), length
+            )
         return None
 
     def _is_clear(self, place: int, opcode: int, length: int) -> bool:
@@ -159,7 +165,9 @@ class Walk:
         end = begin + length
         if opcode == Opcode.MESSAGE:
             return end <= self._end and self._may_begin(end)
-        return (end <= self._end or opcode == Opcode.CHUNK) and self._fields_of(opcode, begin) == length
+        return (end <= self._end or opcode == Opcode.CHUNK) and self._fields_of(
+            opcode, begin
+        ) == length
 
     def _is_possible(self, place: int, opcode: int, length: int) -> bool:
         """Whether a record of an unknown kind, of unknown further fields, or before damage, may be one:
@@ -188,7 +196,9 @@ class Walk:
         return head is not None and place + HEAD.size + head[1] <= self._end
 
     def _is_magic(self, place: int) -> bool:
-        return place + len(MAGIC) == self._end and self._bytes(place, len(MAGIC)) == MAGIC
+        return (
+            place + len(MAGIC) == self._end and self._bytes(place, len(MAGIC)) == MAGIC
+        )
 
     def _is_cut(self, place: int) -> bool:
         """Whether the record at a place is longer than what is left of the file."""
@@ -203,7 +213,9 @@ class Walk:
         while block_begin < end:
             block = self._bytes(block_begin, min(_BLOCK, end - block_begin) + HEAD.size)
             for match in _PERHAPS.finditer(block):
-                if block_begin + match.start() < end and self._begins(block_begin + match.start()):
+                if block_begin + match.start() < end and self._begins(
+                    block_begin + match.start()
+                ):
                     return block_begin + match.start()
             block_begin += _BLOCK
         return end
@@ -218,7 +230,9 @@ class Walk:
         if opcode == Opcode.MESSAGE:
             if length < MESSAGE.size or not self._may_begin(begin + length):
                 return False
-            return self._has_channel(MESSAGE.unpack(self._bytes(begin, MESSAGE.size))[0])
+            return self._has_channel(
+                MESSAGE.unpack(self._bytes(begin, MESSAGE.size))[0]
+            )
         if self._fields_of(opcode, begin) != length:
             return False
         return opcode == Opcode.CHUNK or self._may_begin(begin + length)

@@ -41,7 +41,9 @@ _NEIGHBOURS: Final = Neighbours()
 _DECODED: Final = ("cdr", "ros2msg")
 
 
-def mended(messages: Iterable[Message], on_drop: Callable[[], None]) -> Iterator[Message]:
+def mended(
+    messages: Iterable[Message], on_drop: Callable[[], None]
+) -> Iterator[Message]:
     """The messages, without those of damaged parts that cannot be right; `on_drop` is called for each.
 
     Messages that are sound are not changed.
@@ -110,7 +112,10 @@ def _undecodable(row: Sequence[Message]) -> set[int]:
     """Places of unsound messages that are not what their topic's definition says."""
     wrong = set()
     for number, message in enumerate(row):
-        if message.is_sound or (message.topic.encoding, message.topic.language) != _DECODED:
+        if (
+            message.is_sound
+            or (message.topic.encoding, message.topic.language) != _DECODED
+        ):
             continue
         try:
             decoded(message)
@@ -122,7 +127,9 @@ def _undecodable(row: Sequence[Message]) -> set[int]:
 def _out_of_line(row: Sequence[Message]) -> set[int]:
     """Places of unsound samples whose index, stamp or values cannot be right, topic by topic."""
     wrong: set[int] = set()
-    topics = {message.topic.name for message in row if message.topic.type == SAMPLE.type}
+    topics = {
+        message.topic.name for message in row if message.topic.type == SAMPLE.type
+    }
     for name in topics:
         samples: dict[int, Sample] = {}
         for number, message in enumerate(row):
@@ -133,7 +140,9 @@ def _out_of_line(row: Sequence[Message]) -> set[int]:
                 samples[number] = sample
             elif not message.is_sound:
                 wrong.add(number)
-        in_line = _in_line(samples, {number for number in samples if row[number].is_sound})
+        in_line = _in_line(
+            samples, {number for number in samples if row[number].is_sound}
+        )
         wrong |= samples.keys() - in_line
     return wrong
 
@@ -172,7 +181,9 @@ def _in_line(samples: Mapping[int, Sample], sound: Set[int]) -> set[int]:
     return trusted | _rising(likely, samples, last, None)
 
 
-def _rising(places: Sequence[int], samples: Mapping[int, Sample], above: int, below: int | None) -> set[int]:
+def _rising(
+    places: Sequence[int], samples: Mapping[int, Sample], above: int, below: int | None
+) -> set[int]:
     """As many of the places as possible at which the indices rise, within these bounds: a sample that a
     damage has moved costs itself only."""
     tails: list[int] = []

@@ -25,7 +25,15 @@ from typing import Any, BinaryIO, Final, NamedTuple, TypeVar
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Footer, Header, Metadata, Schema, Statistics
+from mcap.records import (
+    Channel,
+    ChunkIndex,
+    Footer,
+    Header,
+    Metadata,
+    Schema,
+    Statistics,
+)
 
 from twinmatch.sessions.files import SessionError, open_regular
 from twinmatch.sessions.messages import SAMPLE, SCALAR_SAMPLE, Message, Topic, fields_of
@@ -52,7 +60,9 @@ _PACKED: Final = {b"\x28\xb5\x2f\xfd": "zstd", b"\x04\x22\x4d\x18": "lz4"}
 _WITHOUT: Final = Schema(0, b"", "", "")
 """What number 0 stands for: messages that have no schema, such as JSON."""
 
-_Parsed = TypeVar("_Parsed", Header, Schema, Channel, ChunkIndex, Metadata, Statistics, Footer)
+_Parsed = TypeVar(
+    "_Parsed", Header, Schema, Channel, ChunkIndex, Metadata, Statistics, Footer
+)
 
 
 class _FaultError(Exception):
@@ -121,7 +131,9 @@ class Scan:
                 yield from mended(self._messages(walk, file), self._drop)
                 self.fault = self._conclusion(walk, file)
         except OSError as error:
-            raise SessionError(f"session {self.path}: cannot be read ({error.strerror})") from error
+            raise SessionError(
+                f"session {self.path}: cannot be read ({error.strerror})"
+            ) from error
 
     def _check_beginning(self, file: BinaryIO, size: int) -> None:
         beginning = file.read(len(MAGIC))
@@ -132,15 +144,23 @@ class Scan:
         same_bytes = sum(a == b for a, b in zip(beginning, MAGIC, strict=False))
         file.seek(max(0, size - len(MAGIC)))
         if size <= len(MAGIC) or (same_bytes < _HALF and file.read() != MAGIC):
-            raise SessionError(f"session {self.path}: is not a session: it does not begin like an MCAP file")
+            raise SessionError(
+                f"session {self.path}: is not a session: it does not begin like an MCAP file"
+            )
         if next(iter(Walk(file, len(MAGIC), min(size, _NEAR))), None) is None:
-            raise SessionError(f"session {self.path}: is not a session: it does not begin like an MCAP file")
+            raise SessionError(
+                f"session {self.path}: is not a session: it does not begin like an MCAP file"
+            )
         self._note("its first bytes are wrong")
 
-    def _walk_over(self, source: BinaryIO, begin: int, end: int, file: BinaryIO) -> Walk:
+    def _walk_over(
+        self, source: BinaryIO, begin: int, end: int, file: BinaryIO
+    ) -> Walk:
         def chunks() -> Mapping[int, int]:
             index = self._summary(file)
-            return {start: entry.chunk_length - HEAD.size for start, entry in index.items()}
+            return {
+                start: entry.chunk_length - HEAD.size for start, entry in index.items()
+            }
 
         is_file = source is file
         return Walk(
@@ -170,7 +190,9 @@ class Scan:
                 if record.opcode == Opcode.DATA_END:
                     self._ended = True
 
-    def _chunk(self, record: FileRecord, walk: Walk, file: BinaryIO) -> Iterator[Message]:
+    def _chunk(
+        self, record: FileRecord, walk: Walk, file: BinaryIO
+    ) -> Iterator[Message]:
         """The messages of a chunk; those of one that is not compressed and cannot be checked are left to the
         walk, which continues within it."""
         self._is_sound = True
@@ -205,9 +227,13 @@ class Scan:
             raise _FaultError("a chunk cannot be read")
         _, _, size, crc = _CHUNK.unpack_from(body)
         entry = (self._index or {}).get(record.at)
-        if entry is not None and _CHUNK.size <= len(body) - entry.compressed_size <= len(body):
+        if entry is not None and _CHUNK.size <= len(
+            body
+        ) - entry.compressed_size <= len(body):
             begin = len(body) - entry.compressed_size
-            return _Chunk(entry.uncompressed_size, crc, entry.compression, begin, body[begin:])
+            return _Chunk(
+                entry.uncompressed_size, crc, entry.compression, begin, body[begin:]
+            )
         (length,) = struct.unpack_from("<I", body, _CHUNK.size)
         compression_begin = _CHUNK.size + 4
         size_begin = compression_begin + length
@@ -228,7 +254,11 @@ class Scan:
         while position + HEAD.size <= end:
             opcode, length = HEAD.unpack_from(data, position)
             begin = position + HEAD.size
-            if not opcode or begin + length > end or (opcode == Opcode.MESSAGE and length < MESSAGE.size):
+            if (
+                not opcode
+                or begin + length > end
+                or (opcode == Opcode.MESSAGE and length < MESSAGE.size)
+            ):
                 break
             if opcode == Opcode.MESSAGE:
                 yield from self._message(data[begin : begin + length], file)
@@ -350,12 +380,17 @@ class Scan:
 
     def _conclusion(self, walk: Walk, file: BinaryIO) -> str:
         """What is wrong, in a sentence; empty: nothing."""
-        faults = [fault + (f" ({n} times)" if n > 1 else "") for fault, n in self._faults.items()]
+        faults = [
+            fault + (f" ({n} times)" if n > 1 else "")
+            for fault, n in self._faults.items()
+        ]
         if walk.gaps:
             further = f", nor at {walk.gaps - 1} other places" if walk.gaps > 1 else ""
             faults.append(f"at byte {walk.first_gap} no record begins{further}")
         if self.unsound:
-            faults.append(f"{self.unsound} messages were read that no checksum confirms")
+            faults.append(
+                f"{self.unsound} messages were read that no checksum confirms"
+            )
         if self._stated > self._count:
             faults.append(f"only {self._count} of {self._stated} messages are left")
         if 0 <= self._stated < self._count:
@@ -375,7 +410,10 @@ class Scan:
 
 def _mended_schema(schema: Schema, channel: Channel) -> Schema:
     """The definition of a topic in a damaged file; that of samples is the current one, if it may be wrong."""
-    is_ours = SAMPLE.type_hash == channel.metadata.get("topic_type_hash") or schema.name == SAMPLE.type
+    is_ours = (
+        SAMPLE.type_hash == channel.metadata.get("topic_type_hash")
+        or schema.name == SAMPLE.type
+    )
     fields = fields_of(schema.data.decode("utf-8", "replace"))
     if not is_ours or fields == SCALAR_SAMPLE:
         return schema
@@ -391,7 +429,10 @@ def _footer_of(file: BinaryIO, size: int) -> Footer | None:
     """The footer of a file with a summary; None if it has none."""
     file.seek(max(0, size - len(MAGIC) - _FOOTER))
     tail = file.read()
-    if len(tail) < _FOOTER + len(MAGIC) or HEAD.unpack_from(tail) != (Opcode.FOOTER, 20):
+    if len(tail) < _FOOTER + len(MAGIC) or HEAD.unpack_from(tail) != (
+        Opcode.FOOTER,
+        20,
+    ):
         return None
     footer = _parse(Footer, tail[HEAD.size : _FOOTER])
     footer_begin = size - len(MAGIC) - _FOOTER
@@ -425,18 +466,24 @@ def _unpacked(chunk: _Chunk) -> bytes:
         return chunk.data
     size = chunk.size if chunk.size <= MAX_UNPACKED else 0
     if chunk.compression not in _PACKED.values():
-        raise _FaultError(f"a chunk is compressed with {chunk.compression[:40]!r}, which is not supported")
+        raise _FaultError(
+            f"a chunk is compressed with {chunk.compression[:40]!r}, which is not supported"
+        )
     unpack = _unpack_zstd if chunk.compression == "zstd" else _unpack_lz4
     return unpack(chunk.data, max(size, _USUAL) + 1)
 
 
 def _unpack_zstd(data: bytes, most: int) -> bytes:
-    import zstandard  # noqa: PLC0415 - rarely needed
+    import zstandard  # noqa: PLC0415
 
     unpacked = bytearray()
-    with zstandard.ZstdDecompressor(max_window_size=MAX_UNPACKED).stream_reader(data) as reader:
+    with zstandard.ZstdDecompressor(max_window_size=MAX_UNPACKED).stream_reader(
+        data
+    ) as reader:
         try:
-            while len(unpacked) < most and (piece := reader.read(min(_PIECE, most - len(unpacked)))):
+            while len(unpacked) < most and (
+                piece := reader.read(min(_PIECE, most - len(unpacked)))
+            ):
                 unpacked += piece
         except zstandard.ZstdError:  # what comes before is kept
             pass
@@ -451,7 +498,9 @@ def _unpack_lz4(data: bytes, most: int) -> bytes:
     piece = data
     try:
         while len(unpacked) < most and not reader.eof:
-            unpacked += reader.decompress(piece, max_length=min(_PIECE, most - len(unpacked)))
+            unpacked += reader.decompress(
+                piece, max_length=min(_PIECE, most - len(unpacked))
+            )
             piece = b""
             if reader.needs_input:
                 break

@@ -21,7 +21,9 @@ Rows = NDArray[np.void]
 
 def _record_of(shape: Sequence[int]) -> np.dtype[np.void]:
     """The record of a sample with these numbers of signals."""
-    signals = ((name, "<f8", (width,)) for name, width in zip(SIGNALS, shape, strict=True))
+    signals = (
+        (name, "<f8", (width,)) for name, width in zip(SIGNALS, shape, strict=True)
+    )
     return np.dtype([("index", "<u8"), ("stamp", "<i8"), *signals, ("seen", "?")])
 
 
@@ -32,7 +34,7 @@ class SampleSpool:
         """Start empty; the first sample says how many signals there are."""
         self.newest: Sample | None = None
         self._row = _record_of((1, 1, 1, 0))
-        self._file = tempfile.TemporaryFile(prefix="twinmatch-samples-")  # noqa: SIM115 - closed with the object
+        self._file = tempfile.TemporaryFile(prefix="twinmatch-samples-")  # noqa: SIM115
         self._count = 0
         # First index and first row of each unbroken run; there are few, since a new one needs a missed tick.
         self._firsts = array("Q")
@@ -58,7 +60,12 @@ class SampleSpool:
             self._firsts.append(sample.index)
             self._rows.append(self._count)
         row = np.zeros(1, self._row)
-        row[0] = (sample.index, sample.stamp, *(getattr(sample, name) for name in SIGNALS), sample.seen)
+        row[0] = (
+            sample.index,
+            sample.stamp,
+            *(getattr(sample, name) for name in SIGNALS),
+            sample.seen,
+        )
         self._file.seek(0, 2)
         self._file.write(row.tobytes())
         self._count += 1
@@ -110,7 +117,7 @@ class MessageSpool:
 
     def __init__(self) -> None:
         """Start empty."""
-        self._file = tempfile.TemporaryFile(prefix="twinmatch-messages-")  # noqa: SIM115 - as above
+        self._file = tempfile.TemporaryFile(prefix="twinmatch-messages-")  # noqa: SIM115
         self._ends = array("Q")
         self._newest = b""
 

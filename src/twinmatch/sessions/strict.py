@@ -39,9 +39,7 @@ def strict_refusal(path: Path) -> str:
         except _NotStrictError as error:
             return str(error)
         except Exception as error:  # the library raises many kinds for damaged bytes
-            return (
-                f"a strict reader refuses it ({type(error).__name__}: {' '.join(str(error).split())[:100]})"
-            )
+            return f"a strict reader refuses it ({type(error).__name__}: {' '.join(str(error).split())[:100]})"
     return ""
 
 
@@ -70,11 +68,15 @@ def _check_messages(chunk: Chunk | None, index: MessageIndex) -> None:
     """Every entry of a message index is a message of its channel, at its place in the chunk before."""
     if chunk is None:
         raise _NotStrictError("an index of messages belongs to no chunk")
-    if chunk.compression:  # the places are those of the unpacked data, which the checksum of it confirms
+    if chunk.compression:
+        # the places are those of the unpacked data, which the checksum of it confirms
         return
     for time, place in index.records:
         head = chunk.data[place : place + HEAD.size + 14]
-        if head[:1] != b"\x05" or int.from_bytes(head[9:11], "little") != index.channel_id:
+        if (
+            head[:1] != b"\x05"
+            or int.from_bytes(head[9:11], "little") != index.channel_id
+        ):
             raise _NotStrictError("an index of messages is wrong")
         if int.from_bytes(head[15:23], "little") != time:
             raise _NotStrictError("an index of messages is wrong")
@@ -84,7 +86,9 @@ def _check_entry(entry: ChunkIndex, starts: array[int], indexes: array[int]) -> 
     if not _has(starts, entry.chunk_start_offset):
         raise _NotStrictError("its index points to chunks where there are none")
     if not all(_has(indexes, place) for place in entry.message_index_offsets.values()):
-        raise _NotStrictError("its index points to indexes of messages where there are none")
+        raise _NotStrictError(
+            "its index points to indexes of messages where there are none"
+        )
 
 
 def _has(places: array[int], place: int) -> bool:
@@ -105,4 +109,6 @@ def _check_by_index(file: BinaryIO) -> None:
         raise _NotStrictError("it has no index")
     read = sum(1 for _ in reader.iter_messages(log_time_order=False))
     if summary.statistics is not None and summary.statistics.message_count != read:
-        raise _NotStrictError(f"by its index it has {read} of {summary.statistics.message_count} messages")
+        raise _NotStrictError(
+            f"by its index it has {read} of {summary.statistics.message_count} messages"
+        )

@@ -45,9 +45,9 @@ class _ChunkIndexes:
     """
 
     def __init__(self, folder: Path) -> None:
-        from mcap.data_stream import RecordBuilder  # noqa: PLC0415 - as for the writer
+        from mcap.data_stream import RecordBuilder  # noqa: PLC0415
 
-        self._file = tempfile.TemporaryFile(dir=folder, prefix=".chunks-")  # noqa: SIM115 - closed with the object
+        self._file = tempfile.TemporaryFile(dir=folder, prefix=".chunks-")  # noqa: SIM115
         self._record = RecordBuilder()
 
     def append(self, index: ChunkIndex) -> None:
@@ -67,7 +67,7 @@ class _SessionFile:
     """Writes topics, messages and records into one file; failures of the disk are an `OSError`."""
 
     def __init__(self, path: Path) -> None:
-        from mcap.writer import CompressionType, Writer  # noqa: PLC0415 - takes 70 ms, not needed to read
+        from mcap.writer import CompressionType, Writer  # noqa: PLC0415
 
         self.path = path
         self.counts: dict[Topic, int] = {}
@@ -78,7 +78,9 @@ class _SessionFile:
         self._file = path.open("wb")
         with contextlib.suppress(OSError):  # some file systems have no locks
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        self._mcap = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.NONE)
+        self._mcap = Writer(
+            self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.NONE
+        )
         # The writer keeps an object for every chunk until the end: 170 MB for a day that is flushed every
         # 0.4 s. It has no option to keep them elsewhere; a test checks that it uses this attribute.
         self._chunks = _ChunkIndexes(path.parent)
@@ -102,15 +104,26 @@ class _SessionFile:
     def add_topic(self, topic: Topic) -> None:
         schema = self._schemas.get(topic.type)
         if schema is None:
-            schema = self._mcap.register_schema(topic.type, "ros2msg", topic.schema.encode())
+            schema = self._mcap.register_schema(
+                topic.type, "ros2msg", topic.schema.encode()
+            )
             self._schemas[topic.type] = schema
-        details = {"offered_qos_profiles": qos_text(topic.qos), "topic_type_hash": topic.type_hash}
-        self._channels[topic.name] = self._mcap.register_channel(topic.name, "cdr", schema, details)
+        details = {
+            "offered_qos_profiles": qos_text(topic.qos),
+            "topic_type_hash": topic.type_hash,
+        }
+        self._channels[topic.name] = self._mcap.register_channel(
+            topic.name, "cdr", schema, details
+        )
         self.counts[topic] = 0
 
-    def write(self, topic: Topic, data: bytes, log_time: int, publish_time: int) -> None:
+    def write(
+        self, topic: Topic, data: bytes, log_time: int, publish_time: int
+    ) -> None:
         count = self.counts[topic]
-        self._mcap.add_message(self._channels[topic.name], log_time, data, publish_time, sequence=count)
+        self._mcap.add_message(
+            self._channels[topic.name], log_time, data, publish_time, sequence=count
+        )
         start, end = self._span or (log_time, log_time)
         self._span = min(start, log_time), max(end, log_time)
         self.counts[topic] = count + 1
@@ -135,7 +148,8 @@ class _SessionFile:
     def abandon(self) -> None:
         """Close the file without finishing it."""
         for file in (self._file, self._chunks):
-            with contextlib.suppress(OSError):  # the buffer cannot be written to a full disk
+            with contextlib.suppress(OSError):
+                # the buffer cannot be written to a full disk
                 file.close()
 
 
@@ -165,7 +179,9 @@ class SessionWriter:
         self.folder = Path(folder)
         self.name = self.folder.absolute().name
         if not self.name:
-            raise SessionError(f"session {self.folder}: a session needs a folder with a name")
+            raise SessionError(
+                f"session {self.folder}: a session needs a folder with a name"
+            )
         self.counts: dict[Topic, int] = {}
         """Messages written so far, per topic."""
         self._ros_distro = ros_distro
@@ -212,7 +228,9 @@ class SessionWriter:
         self._topics[topic.name] = topic
         self.counts[topic] = 0
 
-    def write(self, name: str, data: bytes, log_time: int, publish_time: int | None = None) -> None:
+    def write(
+        self, name: str, data: bytes, log_time: int, publish_time: int | None = None
+    ) -> None:
         """Write one serialised message.
 
         Args:
@@ -226,11 +244,20 @@ class SessionWriter:
         """
         topic = self._topics.get(name)
         if topic is None:
-            raise SessionError(f"session {self.name}: {name} was not added before its first message")
+            raise SessionError(
+                f"session {self.name}: {name} was not added before its first message"
+            )
         if log_time < 0 or (publish_time or 0) < 0:
-            raise SessionError(f"session {self.name}: a message of {name} has a negative time")
+            raise SessionError(
+                f"session {self.name}: a message of {name} has a negative time"
+            )
         with self._disk() as file:
-            file.write(topic, data, log_time, log_time if publish_time is None else publish_time)
+            file.write(
+                topic,
+                data,
+                log_time,
+                log_time if publish_time is None else publish_time,
+            )
         self.counts[topic] += 1
 
     def add_record(self, name: str, values: Mapping[str, str]) -> None:
@@ -319,7 +346,8 @@ def being_written(file: Path) -> bool:
     Raises:
         OSError: it cannot be opened.
     """
-    with open_regular(file) as handle, contextlib.suppress(OSError):  # some file systems have no locks
+    with open_regular(file) as handle, contextlib.suppress(OSError):
+        # some file systems have no locks
         try:
             fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:

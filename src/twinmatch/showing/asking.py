@@ -32,8 +32,14 @@ NAMES: Final[Mapping[str, str]] = {TWIN: "the twin", CONTROLLER: "the controller
 """The nodes that are needed, in words."""
 TOPICS: Final[Mapping[str, str]] = {TWIN: "twin/law", CONTROLLER: "plant/law"}
 """A topic that each of them publishes: its publisher tells a node from the one that replaces it."""
-NOTHING_DRIVES: Final = "nothing drives: without its commands the bridge puts the output at zero"
-ENDS: Final = {ExperimentPhase.DECIDED: 0, ExperimentPhase.ENDED: 3, ExperimentPhase.REFUSED: 1}
+NOTHING_DRIVES: Final = (
+    "nothing drives: without its commands the bridge puts the output at zero"
+)
+ENDS: Final = {
+    ExperimentPhase.DECIDED: 0,
+    ExperimentPhase.ENDED: 3,
+    ExperimentPhase.REFUSED: 1,
+}
 """Exit codes of experiments."""
 DECISIONS: Final = {"safe": 0, "fails": 1, "undecided": 3}
 """Exit codes of answers about a law."""
@@ -107,12 +113,17 @@ class Asking(TwinmatchNode):
         elif time.monotonic() - self._since > PATIENCE:
             server = NAMES[self.SERVER].removeprefix("the ")
             service = self._service.srv_name
-            self.end(1, f"{self.NAME}: no {server} runs here (no service {service}); start live")
+            self.end(
+                1,
+                f"{self.NAME}: no {server} runs here (no service {service}); start live",
+            )
 
     def _ended(self, node: str) -> bool:
         """Whether a node has ended; another in its place would know of no request."""
         infos = self.get_publishers_info_by_topic(TOPICS[node])
-        publishers = frozenset(bytes(info.endpoint_gid) for info in infos if info.node_name == node)
+        publishers = frozenset(
+            bytes(info.endpoint_gid) for info in infos if info.node_name == node
+        )
         before = self._publishers.get(node, frozenset())
         if not before:
             self._publishers[node] = publishers
@@ -140,9 +151,25 @@ class ExperimentAsking(Asking):
     NAME = "experiment"
     SERVICE = (Experiment, "twin/experiment")
     PARAMETERS = (
-        Setting("goal", "", "What is to be known; empty: the first that is undecided.", choices=("", *GOALS)),
-        Setting("minutes", 0.0, "Longest course; 0: in proportion to the plant.", "min", 0.0, 1e4),
-        Setting("within", "", "Lowest and highest value of every output, with a space between."),
+        Setting(
+            "goal",
+            "",
+            "What is to be known; empty: the first that is undecided.",
+            choices=("", *GOALS),
+        ),
+        Setting(
+            "minutes",
+            0.0,
+            "Longest course; 0: in proportion to the plant.",
+            "min",
+            0.0,
+            1e4,
+        ),
+        Setting(
+            "within",
+            "",
+            "Lowest and highest value of every output, with a space between.",
+        ),
         Setting("run", False, "Whether the controller is to follow it."),
     )
 
@@ -150,8 +177,12 @@ class ExperimentAsking(Asking):
         """Find the twin, and subscribe to its reports."""
         self._described = UNDESCRIBED
         self._follows = False
-        self.create_subscription(messages.PlantDescription, "plant/description", self._on_plant, LATCHED)
-        self.create_subscription(messages.ExperimentReport, "twin/experiment", self._on_report, RELIABLE)
+        self.create_subscription(
+            messages.PlantDescription, "plant/description", self._on_plant, LATCHED
+        )
+        self.create_subscription(
+            messages.ExperimentReport, "twin/experiment", self._on_report, RELIABLE
+        )
         super().open()
 
     @property
@@ -186,7 +217,9 @@ class ExperimentAsking(Asking):
 
     def close(self) -> bool:
         """Stop an experiment that is sought or followed, since the one who asked has gone."""
-        if (self._asked and self.values["run"] and self.exit_code is None) or self._follows:
+        if (
+            self._asked and self.values["run"] and self.exit_code is None
+        ) or self._follows:
             self._service.call_async(Experiment.Request(stop=True))
             time.sleep(0.3)  # the request leaves this process
         return super().close()
@@ -237,7 +270,14 @@ class LawAsking(Asking):
     PARAMETERS = (
         Setting("law", "", "The law: a JSON document of kind pid."),
         Setting("although", False, "Run it although it is not safe."),
-        Setting("shadow", 0.0, "Time beside the law that runs before it drives.", "s", 0.0, 1e5),
+        Setting(
+            "shadow",
+            0.0,
+            "Time beside the law that runs before it drives.",
+            "s",
+            0.0,
+            1e5,
+        ),
         Setting("yes", False, "Do not ask again."),
     )
 
@@ -248,8 +288,12 @@ class LawAsking(Asking):
         """What the controller has said last of a law on trial, also of one that others asked for."""
         self._begun = False
         """Whether the controller has reported on the law of this request."""
-        self.create_subscription(messages.LawReport, "twin/law", self._on_twin, RELIABLE)
-        self.create_subscription(messages.LawReport, "plant/law", self._on_controller, LATCHED)
+        self.create_subscription(
+            messages.LawReport, "twin/law", self._on_twin, RELIABLE
+        )
+        self.create_subscription(
+            messages.LawReport, "plant/law", self._on_controller, LATCHED
+        )
         super().open()
 
     @property
@@ -304,7 +348,9 @@ class LawAsking(Asking):
         self._since = time.monotonic()
         words = f"{report.sample}: {report.phase.value} {report.reason}".rstrip()
         if report.phase is TrialPhase.KEPT:
-            self.end(0, f"{words}: it keeps driving; write its gains into the configuration")
+            self.end(
+                0, f"{words}: it keeps driving; write its gains into the configuration"
+            )
         elif report.phase is TrialPhase.BACK:
             self.end(1, f"{words}: the law before drives")
         else:
@@ -330,4 +376,7 @@ class LawBack(Asking):
 
 def _agreed() -> bool:
     """Whether the operator says yes, in a terminal."""
-    return sys.stdin.isatty() and input("run it, watched within its bands? [y/N] ").strip().lower() == "y"
+    return (
+        sys.stdin.isatty()
+        and input("run it, watched within its bands? [y/N] ").strip().lower() == "y"
+    )

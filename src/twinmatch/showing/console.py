@@ -17,7 +17,9 @@ class Console(rich.console.Console):
 
     def __init__(self, **settings: Any) -> None:
         """Take rich's settings."""
-        super().__init__(**{"highlight": False, "markup": False, "emoji": False, **settings})
+        super().__init__(
+            **{"highlight": False, "markup": False, "emoji": False, **settings}
+        )
 
     @property
     def file(self) -> IO[str]:
@@ -29,7 +31,13 @@ class Console(rich.console.Console):
     def file(self, stream: IO[str]) -> None:
         self._file = stream
 
-    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
         """The segments of what is printed."""
         for segment in super().render(renderable, options):
-            yield segment if segment.control else segment._replace(text=printable(segment.text))
+            yield (
+                segment
+                if segment.control
+                else segment._replace(text=printable(segment.text))
+            )

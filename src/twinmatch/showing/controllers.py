@@ -40,7 +40,11 @@ def answer_words(answer: ControllerAnswer) -> list[str]:
     beside = "" if answer.running is None else "; beside it the law that ran"
     lines.append(f"over {answer.time[-1]:g} s, median and 90 % band{beside}:")
     ran = {} if answer.running is None else answer.running.figures
-    lines += [f"  {_figure_words(q, s, ran.get(q))}" for q, s in answer.courses.figures.items() if _known(s)]
+    lines += [
+        f"  {_figure_words(q, s, ran.get(q))}"
+        for q, s in answer.courses.figures.items()
+        if _known(s)
+    ]
     return lines + [f"Note: {note}" for note in answer.notes]
 
 
@@ -49,9 +53,11 @@ def comparison_words(comparison: LawComparison) -> str:
     band = f"{comparison.median:.3g} {comparison.unit} ({comparison.low:.3g} to {comparison.high:.3g})"
     place = "inside" if comparison.inside else "outside"
     stability = "stable" if comparison.stable else "unstable or beyond the safe range"
-    prediction = {None: "undecided before", True: "as predicted", False: "not as predicted"}[
-        comparison.as_said
-    ]
+    prediction = {
+        None: "undecided before",
+        True: "as predicted",
+        False: "not as predicted",
+    }[comparison.as_said]
     return (
         f"{comparison.name}: predicted cost {band}, measured {comparison.measured:.3g} {comparison.unit}: "
         f"{place}; {100 * comparison.share:.0f} % of the readings lay in their bands; {stability}, "
@@ -62,7 +68,10 @@ def comparison_words(comparison: LawComparison) -> str:
 
 def comparison_document(comparison: LawComparison) -> dict[str, Any]:
     """All of it for JSON."""
-    values = {key: _finite(v) if isinstance(v, float) else v for key, v in asdict(comparison).items()}
+    values = {
+        key: _finite(v) if isinstance(v, float) else v
+        for key, v in asdict(comparison).items()
+    }
     return values | {
         "inside": comparison.inside,
         "as_said": comparison.as_said,
@@ -77,10 +86,18 @@ def retuned_words(retuned: Retuned, answer: ControllerAnswer) -> list[str]:
         before = getattr(retuned.before, name)
         after = getattr(retuned.after, name)
         lines.append(f"  {name}: {before:.4g} → {after:.4g}")
-    lines.append(f"  largest M_s: {retuned.sensitivities[0]:.2f} → {retuned.sensitivities[1]:.2f}")
-    limited = [s.median for q, s in answer.courses.figures.items() if q.name == "time at a limit"]
+    lines.append(
+        f"  largest M_s: {retuned.sensitivities[0]:.2f} → {retuned.sensitivities[1]:.2f}"
+    )
+    limited = [
+        s.median
+        for q, s in answer.courses.figures.items()
+        if q.name == "time at a limit"
+    ]
     if max(limited, default=0.0) > MAX_LIMITED:
-        lines.append(f"  the drive is at a limit {max(limited):.0f} % of the time: tuning is not the trouble")
+        lines.append(
+            f"  the drive is at a limit {max(limited):.0f} % of the time: tuning is not the trouble"
+        )
     return lines
 
 
@@ -95,7 +112,9 @@ def experiment_words(experiment: NextExperiment) -> list[str]:
         spreads = zip(experiment.leader.free, course.spreads.tolist(), strict=False)
         listed = ", ".join(f"{name} ± {spread:.2g}" for name, spread in spreads)
         warning = "" if course.within else "; leaves the range"
-        lines.append(f"  {course.name}: {course.characters:.3g} characters; {listed}{warning}")
+        lines.append(
+            f"  {course.name}: {course.characters:.3g} characters; {listed}{warning}"
+        )
     return lines
 
 
@@ -128,7 +147,9 @@ def experiment_document(experiment: NextExperiment) -> dict[str, Any]:
                 "levels": course.rows.T.tolist(),
                 "characters": course.characters,
                 "within": course.within,
-                "spreads": dict(zip(experiment.leader.free, course.spreads.tolist(), strict=False)),
+                "spreads": dict(
+                    zip(experiment.leader.free, course.spreads.tolist(), strict=False)
+                ),
             }
             for course in (experiment.course, *experiment.others)
         ],
@@ -138,7 +159,9 @@ def experiment_document(experiment: NextExperiment) -> dict[str, Any]:
 def guarantee_words(guarantee: Guarantee, plant: type[Plant]) -> str:
     """What the theorem guarantees, and its premises, in one sentence."""
     units = zip(
-        (*plant.outputs, *plant.drives), (*guarantee.scaling.outputs, *guarantee.scaling.inputs), strict=True
+        (*plant.outputs, *plant.drives),
+        (*guarantee.scaling.outputs, *guarantee.scaling.inputs),
+        strict=True,
     )
     scaled = ", ".join(f"{name} {value:.3g}" for name, value in units)
     gap = max(guarantee.scaling.gap, guarantee.drawn)
@@ -156,7 +179,9 @@ def guarantee_words(guarantee: Guarantee, plant: type[Plant]) -> str:
 def _stability_words(answer: ControllerAnswer) -> list[str]:
     worst = max(answer.stability, key=lambda stability: stability.eigenvalue)
     draws = sum(stability.eigenvalues.size for stability in answer.stability)
-    unstable = sum(int(np.sum(stability.eigenvalues >= 1.0)) for stability in answer.stability)
+    unstable = sum(
+        int(np.sum(stability.eigenvalues >= 1.0)) for stability in answer.stability
+    )
     where = levels_words(answer.plant, worst.point)
     lines = [
         f"largest eigenvalue {worst.eigenvalue:.5f}, of {worst.member.name} at {where}; "
@@ -189,7 +214,9 @@ def _known(spread: Spread) -> bool:
 def _figure_words(quantity: CourseFigure, spread: Spread, ran: Spread | None) -> str:
     signal = f" of {quantity.signal}" if quantity.signal else ""
     beside = "" if ran is None else f"; ran: {_spread_words(ran)}"
-    return f"{quantity.name}{signal}: {_spread_words(spread)} {quantity.unit}{beside}".replace(" ;", ";")
+    return f"{quantity.name}{signal}: {_spread_words(spread)} {quantity.unit}{beside}".replace(
+        " ;", ";"
+    )
 
 
 def _spread_words(spread: Spread) -> str:
@@ -207,7 +234,10 @@ def answer_document(answer: ControllerAnswer) -> dict[str, Any]:
         "points": [list(point) for point in answer.points],
         "hangs_on": None
         if answer.question is None
-        else {name: getattr(answer.question, name) for name in ("parameter", "drive", "step")},
+        else {
+            name: getattr(answer.question, name)
+            for name in ("parameter", "drive", "step")
+        },
         "guarantee": None
         if guarantee is None
         else {

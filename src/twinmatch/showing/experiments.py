@@ -9,14 +9,19 @@ from twinmatch.twin.experiment import ExperimentPhase, ExperimentReport
 
 
 def course_words(
-    levels: Sequence[float], holds: Sequence[float], described: Description = UNDESCRIBED
+    levels: Sequence[float],
+    holds: Sequence[float],
+    described: Description = UNDESCRIBED,
 ) -> str:
     """Set-points and how long each is held, without the last, at which the plant rests afterwards."""
     quantities = described.references
     rows = list(zip(*[iter(levels)] * len(quantities), strict=True))
     steps = []
     for row, hold in zip(rows[:-1], holds, strict=False):
-        values = [f"{level:.4g} {q.unit}".rstrip() for level, q in zip(row, quantities, strict=True)]
+        values = [
+            f"{level:.4g} {q.unit}".rstrip()
+            for level, q in zip(row, quantities, strict=True)
+        ]
         steps.append(f"{' and '.join(values)} for {hold:.4g} s")
     return ", then ".join(steps)
 
@@ -27,5 +32,9 @@ def report_words(report: ExperimentReport, described: Description = UNDESCRIBED)
         return f"{report.phase.value}: {report.reason}"
     plan = course_words(report.levels, report.holds, described)
     so_far = f"{report.brought:.3g} of {report.expected:.3g} characters"
-    brought = so_far if report.phase is ExperimentPhase.RUNNING else f"{report.expected:.3g} characters"
+    brought = (
+        so_far
+        if report.phase is ExperimentPhase.RUNNING
+        else f"{report.expected:.3g} characters"
+    )
     return f"{report.phase.value}, for {report.goal}: {brought}; hold {plan} ({report.reason})"

@@ -13,7 +13,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
-from twinmatch.comparing import CandidateScore, OrderScore, SimoModel, Verdict, identify, twin_response
+from twinmatch.comparing import (
+    CandidateScore,
+    OrderScore,
+    SimoModel,
+    Verdict,
+    identify,
+    twin_response,
+)
 from twinmatch.comparing.models import ahead, deviations, operating_level
 from twinmatch.dynamics import Response
 from twinmatch.errors import TwinmatchError
@@ -48,7 +55,9 @@ class Member:
         """Response of its twin to that window's set-point, or input in open loop, with sensor noise."""
         settings = self.settings
         seed = settings.seed + self.window.first
-        return twin_response(self.score.parameters, self.window, settings.law, settings.sensor, seed)
+        return twin_response(
+            self.score.parameters, self.window, settings.law, settings.sensor, seed
+        )
 
     @cached_property
     def models(self) -> tuple[SimoModel, ...]:
@@ -58,13 +67,19 @@ class Member:
     def _identified(self, orders: Sequence[str]) -> tuple[SimoModel, ...]:
         with one_thread():
             return identify(
-                self.response, orders, scale=self.settings.model_scale, lead=self.settings.schedule.lead
+                self.response,
+                orders,
+                scale=self.settings.model_scale,
+                lead=self.settings.schedule.lead,
             )
 
     @property
     def fitted(self) -> bool:
         """Whether it was fitted to samples, and not given."""
-        return self.match is not None or self.score.parameters.model.structure_name == self.score.name
+        return (
+            self.match is not None
+            or self.score.parameters.model.structure_name == self.score.name
+        )
 
     @property
     def modelled(self) -> bool:
@@ -92,10 +107,15 @@ class Member:
         measured = self.measured
         level = operating_level(measured, driven=of_u is None, lead=model.lead)
         r, y, u = deviations(measured, level)
-        output = of_y.simulate(u if of_u is None else r, outputs=y[: len(of_y.F)]) + level.output
+        output = (
+            of_y.simulate(u if of_u is None else r, outputs=y[: len(of_y.F)])
+            + level.output
+        )
         simulated_input = measured.input
         if of_u is not None:
-            simulated_input = of_u.simulate(ahead(r), outputs=u[: len(of_u.F)]) + level.input
+            simulated_input = (
+                of_u.simulate(ahead(r), outputs=u[: len(of_u.F)]) + level.input
+            )
         return replace(measured, outputs=output, inputs=simulated_input)
 
 
@@ -118,17 +138,24 @@ def family(
         window = _window_of(score, matches, samples, settings.period)
         if window is not None:
             match = accepted.get((score.first, score.last))
-            members.append(Member(score, score.name == verdict.nominal, match, window, settings))
+            members.append(
+                Member(score, score.name == verdict.nominal, match, window, settings)
+            )
     return tuple(members)
 
 
 def _window_of(
-    score: CandidateScore, matches: Sequence[MatchReport], samples: Sequence[Sample], period: float
+    score: CandidateScore,
+    matches: Sequence[MatchReport],
+    samples: Sequence[Sample],
+    period: float,
 ) -> Window | None:
     first = score.first
     last = score.last
     if last < first:  # from a file, so judged on the first window that excited the loop
-        last = next((m.match.samples[1] for m in matches if m.match.samples[0] == first), last)
+        last = next(
+            (m.match.samples[1] for m in matches if m.match.samples[0] == first), last
+        )
     window_samples = [s for s in samples if first <= s.index <= last]
     if len(window_samples) == last - first + 1 and len(unbroken(window_samples)) == 1:
         with suppress(TwinmatchError):
@@ -168,7 +195,9 @@ def interval(match: Match, name: str) -> Interval:
         low, high = map(float, match.intervals[place])
         if not (math.isnan(low) or math.isnan(high)):
             return Interval(low, high, error, profile=True)
-    return Interval(value - _NORMAL * error, value + _NORMAL * error, error, profile=False)
+    return Interval(
+        value - _NORMAL * error, value + _NORMAL * error, error, profile=False
+    )
 
 
 def value_of(match: Match, name: str) -> float:
@@ -204,7 +233,11 @@ class FigureColumn(NamedTuple):
             else {n: getattr(holder, n) for n in (self.attribute, self.high) if n}
         )
         low = fields[self.attribute]
-        return span_text(low, fields[self.high], self.decimals) if self.high else number(low, self.decimals)
+        return (
+            span_text(low, fields[self.high], self.decimals)
+            if self.high
+            else number(low, self.decimals)
+        )
 
 
 GAIN: Final = FigureColumn(
@@ -212,17 +245,32 @@ GAIN: Final = FigureColumn(
 )
 CRITERIA: Final = (
     FigureColumn(
-        "trivial_length", "l(t)", "characters", 0, "characters of the measured values as a plain table"
+        "trivial_length",
+        "l(t)",
+        "characters",
+        0,
+        "characters of the measured values as a plain table",
     ),
     FigureColumn(
-        "model_length", "l(p)", "characters", 0, "characters of the model and a table of its residuals"
+        "model_length",
+        "l(p)",
+        "characters",
+        0,
+        "characters of the model and a table of its residuals",
     ),
     GAIN,
     FigureColumn("explanation", "explained", "", 3, "gain / l(t), at best 1", max),
     FigureColumn("naic", "nAIC", "", 3, "smaller is better", min),
     FigureColumn("bic", "BIC", "", 1, "smaller is better", min),
     FigureColumn("mdl", "MDL", "", 4, "smaller is better", min),
-    FigureColumn("two_part_length", "two-part", "characters", 0, "l(p) and the model's parameters", min),
+    FigureColumn(
+        "two_part_length",
+        "two-part",
+        "characters",
+        0,
+        "l(p) and the model's parameters",
+        min,
+    ),
 )
 """Columns of an order, in the order of the paper's table; MDL has the squared unit of output or input."""
 GAP_SUM: Final = FigureColumn(
@@ -232,12 +280,25 @@ GAP_NOW: Final = FigureColumn(
     "nu_gap_to_plant", "ν-gap now", "", 3, "ν-gap to the plant of the newest samples"
 )
 _SUM_LOW: Final = FigureColumn(
-    "nu_gap_sum_low", "90 % of Σ", "", 3, "interval that contains this sum", high="nu_gap_sum_high"
+    "nu_gap_sum_low",
+    "90 % of Σ",
+    "",
+    3,
+    "interval that contains this sum",
+    high="nu_gap_sum_high",
 )
-_MARGIN: Final = "b(P, C): up to this ν-gap the controller in use stabilises every plant"
+_MARGIN: Final = (
+    "b(P, C): up to this ν-gap the controller in use stabilises every plant"
+)
 FIGURES: Final = (
     *(GAP_SUM, _SUM_LOW),
-    FigureColumn("nominal_probability", "P(nominal)", "", 2, "probability of having the smallest sum"),
+    FigureColumn(
+        "nominal_probability",
+        "P(nominal)",
+        "",
+        2,
+        "probability of having the smallest sum",
+    ),
     *(GAP_NOW, FigureColumn("margin", "margin", "", 3, _MARGIN)),
 )
 """Columns of a candidate beside those of its orders."""
@@ -292,7 +353,9 @@ def criterion_rows(
 
 def chosen_score(candidate: CandidateScore) -> OrderScore | None:
     """The scores of the order chosen for a candidate; None for a structure, which has no such models."""
-    return next((o for o in candidate.orders if o.order == candidate.chosen_order), None)
+    return next(
+        (o for o in candidate.orders if o.order == candidate.chosen_order), None
+    )
 
 
 def computed(candidates: Sequence[CandidateScore]) -> tuple[FigureColumn, ...]:
@@ -305,7 +368,9 @@ def _is_computed(criterion: FigureColumn, orders: Sequence[OrderScore]) -> bool:
     return any(not math.isnan(_value(order, "total", criterion)) for order in orders)
 
 
-def for_both(candidate: CandidateScore, criteria: Sequence[FigureColumn]) -> list[FigureColumn]:
+def for_both(
+    candidate: CandidateScore, criteria: Sequence[FigureColumn]
+) -> list[FigureColumn]:
     """These criteria for output and input together: MDL then has the sum of their squared units."""
     plant = candidate.parameters.model.plant
     y, u = (declared.unit or declared.name for declared in (plant.output, plant.drive))
@@ -337,7 +402,9 @@ def family_table_of(verdict: Verdict) -> FamilyTable:
     return FamilyTable(
         candidates=verdict.family,
         point=outputs_unit(model.plant),
-        parameters=tuple(parameter_format(model.plant, name) for name in model.structure.free),
+        parameters=tuple(
+            parameter_format(model.plant, name) for name in model.structure.free
+        ),
         criteria=tuple(for_both(modelled[0], computed(modelled))) if modelled else (),
         figures=FIGURES,
     )
@@ -350,7 +417,9 @@ def _figure(
     text = column.text(getattr(order, output))
     if column.best is None or math.isnan(value):
         return CriterionFigure(text, best=False)
-    return CriterionFigure(text, best=value == column.best(_value(o, output, column) for o in orders))
+    return CriterionFigure(
+        text, best=value == column.best(_value(o, output, column) for o in orders)
+    )
 
 
 def _value(order: OrderScore, output: str, column: FigureColumn) -> float:

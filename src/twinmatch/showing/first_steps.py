@@ -17,8 +17,13 @@ def course_words(course: FirstCourse) -> list[str]:
     drive = plant.drive
     output = plant.output
     rest, *steps = zip(course.levels, course.holds, strict=True)
-    lines = [f"rest first: {drive.name} at {_amount(rest[0], drive.unit)} for {rest[1]:.4g} s"]
-    lines += [f"then {drive.name} at {_amount(level, drive.unit)} for {hold:.4g} s" for level, hold in steps]
+    lines = [
+        f"rest first: {drive.name} at {_amount(rest[0], drive.unit)} for {rest[1]:.4g} s"
+    ]
+    lines += [
+        f"then {drive.name} at {_amount(level, drive.unit)} for {hold:.4g} s"
+        for level, hold in steps
+    ]
     low, high = course.ends
     within = f"{_amount(low, output.unit)} to {_amount(high, output.unit)}"
     expected = f"{course.band[0]:.4g} to {_amount(course.band[1], output.unit)}"
@@ -39,10 +44,17 @@ def course_words(course: FirstCourse) -> list[str]:
 
 def first_steps_words(steps: FirstSteps) -> list[str]:
     """Why the twin is not trusted, what is open, what to record, and which PID to begin with."""
-    lines = [f"not trusted yet: {steps.reason}", "open, by the structures that explain the recording:"]
+    lines = [
+        f"not trusted yet: {steps.reason}",
+        "open, by the structures that explain the recording:",
+    ]
     for twin in steps.twins:
         values = []
-        deviations = np.zeros(0) if twin.covariance is None else np.sqrt(np.diag(twin.covariance))
+        deviations = (
+            np.zeros(0)
+            if twin.covariance is None
+            else np.sqrt(np.diag(twin.covariance))
+        )
         for name, deviation in zip(twin.free, deviations, strict=True):
             values.append(f"{name} {twin.parameters[name]:.3g} ± {deviation:.2g}")
         lines.append(f"  {twin.name}: {', '.join(values)}")
@@ -83,7 +95,9 @@ def first_steps_document(steps: FirstSteps) -> dict[str, Any]:
     return {
         "trusted": False,
         "reason": steps.reason,
-        "inseparable": [] if steps.inseparable is None else list(steps.inseparable.names),
+        "inseparable": []
+        if steps.inseparable is None
+        else list(steps.inseparable.names),
         "course": course_document(steps.course),
         "pid": None if steps.pid is None else pid_document(steps.pid.pid.gains),
     }

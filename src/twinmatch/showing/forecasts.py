@@ -53,7 +53,9 @@ def forecast_document(forecast: Forecast, plant: type[Plant]) -> dict[str, Any]:
         "t": forecast.time.tolist(),
         "y": outputs[0] if plant.single else outputs,
         "u": inputs[0] if plant.single else inputs,
-        "reference": (references[0] if plant.single else references) if forecast.closed else None,
+        "reference": (references[0] if plant.single else references)
+        if forecast.closed
+        else None,
         "notes": list(forecast.notes),
     }
 
@@ -67,7 +69,9 @@ def forecast_words(forecast: Forecast, settings: TwinSettings) -> list[str]:
     return lines
 
 
-def _words_of_output(forecast: Forecast, plant: type[Plant], horizons: Sequence[float]) -> list[str]:
+def _words_of_output(
+    forecast: Forecast, plant: type[Plant], horizons: Sequence[float]
+) -> list[str]:
     """The forecast of a plant's only output in lines."""
     widths = _widths(forecast, plant, horizons)
     if not forecast.closed:
@@ -98,16 +102,25 @@ def comparison_words(fan: Fan, plant: type[Plant]) -> list[str]:
     compare with."""
     if not fan.judged:
         return []
-    return [_comparison_of_output(fan.alone(k), alone) for k, alone in enumerate(channels(plant))]
+    return [
+        _comparison_of_output(fan.alone(k), alone)
+        for k, alone in enumerate(channels(plant))
+    ]
 
 
 def _comparison_of_output(fan: Fan, plant: type[Plant]) -> str:
     """How the forecast of a plant's only output compares with the measurements."""
     signals = signal_names(plant)
-    shares = [f"{100 * np.mean(inside):.0f} % of the" for inside in fan.in_band if inside.size]
-    inside = " and ".join(f"{share} {signal}" for share, signal in zip(shares, signals, strict=False))
+    shares = [
+        f"{100 * np.mean(inside):.0f} % of the" for inside in fan.in_band if inside.size
+    ]
+    inside = " and ".join(
+        f"{share} {signal}" for share, signal in zip(shares, signals, strict=False)
+    )
     moves = "set-points" if fan.forecast.closed else "inputs"
-    condition = "" if fan.judged == fan.forecast.time.size else f", under the same {moves}"
+    condition = (
+        "" if fan.judged == fan.forecast.time.size else f", under the same {moves}"
+    )
     return (
         f"compared with the next {fan.judged * fan.past.period:g} s of measurements{condition}: error "
         f"{signals.output.text(root_mean_square([fan.error]), finer=1)} RMS; the band contained {inside}"
@@ -115,7 +128,11 @@ def _comparison_of_output(fan: Fan, plant: type[Plant]) -> str:
 
 
 def _band(band: Band) -> dict[str, list[float]]:
-    return {"mean": band.mean.tolist(), "low": band.low.tolist(), "high": band.high.tolist()}
+    return {
+        "mean": band.mean.tolist(),
+        "low": band.low.tolist(),
+        "high": band.high.tolist(),
+    }
 
 
 def _end(forecast: Forecast, plant: type[Plant]) -> str:
@@ -143,8 +160,16 @@ def _part(forecast: Forecast, samples: slice) -> Forecast:
         forecast,
         time=forecast.time[samples],
         references=forecast.reference[samples],
-        outputs=(Band(output.mean[samples], output.low[samples], output.high[samples]),),
-        inputs=(Band(input_band.mean[samples], input_band.low[samples], input_band.high[samples]),),
+        outputs=(
+            Band(output.mean[samples], output.low[samples], output.high[samples]),
+        ),
+        inputs=(
+            Band(
+                input_band.mean[samples],
+                input_band.low[samples],
+                input_band.high[samples],
+            ),
+        ),
     )
 
 
@@ -163,13 +188,19 @@ def _arrival(part: Forecast, plant: type[Plant], *, only: bool) -> str:
         best = "" if edge is None else f"; at the edge of the band after {edge:g} s"
         return f"{goal}: not in that time{best}"
     if reached.expected == settled.expected == part.time[0]:
-        further = "" if settled.latest == settled.expected else ", though the band reaches further"
+        further = (
+            ""
+            if settled.latest == settled.expected
+            else ", though the band reaches further"
+        )
         return f"{goal}: all the time{further}"
     afterwards = "but it does not stay there"
     if settled.expected is not None:
         stays = settled.expected == reached.expected
         afterwards = (
-            "and it stays there" if stays else f"permanently after {settled.expected:g} s{_range(settled)}"
+            "and it stays there"
+            if stays
+            else f"permanently after {settled.expected:g} s{_range(settled)}"
         )
     return f"{goal}: first after {reached.expected:g} s{_range(reached)}, {afterwards}"
 
@@ -186,7 +217,10 @@ def _widths(forecast: Forecast, plant: type[Plant], horizons: Sequence[float]) -
     widths = []
 
     def width(k: int) -> str:
-        y, u = (float(band.high[k] - band.low[k]) for band in (forecast.output, forecast.input))
+        y, u = (
+            float(band.high[k] - band.low[k])
+            for band in (forecast.output, forecast.input)
+        )
         both = f"{signals.output.text(y)} and {signals.input.text(u)}"
         return both if forecast.closed else signals.output.text(y)
 
@@ -204,7 +238,11 @@ def _widths(forecast: Forecast, plant: type[Plant], horizons: Sequence[float]) -
 def _range(moment: Moment) -> str:
     """The earliest and latest time in brackets."""
     first = "0" if moment.earliest is None else f"{moment.earliest:g}"
-    return f" ({first} to {moment.latest:g})" if moment.latest is not None else f" ({first} or later)"
+    return (
+        f" ({first} to {moment.latest:g})"
+        if moment.latest is not None
+        else f" ({first} or later)"
+    )
 
 
 def _short_names(signals: ShownSignals) -> tuple[str, str]:
@@ -223,7 +261,9 @@ def _short_units(signals: ShownSignals) -> tuple[str, str]:
     return f"/ {output.unit or output.name}", f"/ {entry.unit or entry.name}"
 
 
-def card_columns(plant: type[Plant], *, driven: bool = False) -> list[tuple[str, Callable[[Card], str]]]:
+def card_columns(
+    plant: type[Plant], *, driven: bool = False
+) -> list[tuple[str, Callable[[Card], str]]]:
     """Name and text of one forecaster's figures, those of inputs left out if they were given (`driven`).
 
     Ends and widths are in the plant's units, the others in units of its noise.
@@ -242,11 +282,19 @@ def card_columns(plant: type[Plant], *, driven: bool = False) -> list[tuple[str,
         (f"end {in_input}", lambda c: number(c.end_input * u.noise, u.decimals + 1)),
         (f"held {of_output}", lambda c: _share(c.coverage_output)),
         (f"held {of_input}", lambda c: _share(c.coverage_input)),
-        (f"width {in_output}", lambda c: number(c.width_output * y.noise, y.decimals + 1)),
-        (f"width {in_input}", lambda c: number(c.width_input * u.noise, u.decimals + 1)),
+        (
+            f"width {in_output}",
+            lambda c: number(c.width_output * y.noise, y.decimals + 1),
+        ),
+        (
+            f"width {in_input}",
+            lambda c: number(c.width_input * u.noise, u.decimals + 1),
+        ),
         ("score", lambda c: number(c.score, 1)),
     ]
-    return [column for k, column in enumerate(columns) if not (driven and k in _OF_INPUT)]
+    return [
+        column for k, column in enumerate(columns) if not (driven and k in _OF_INPUT)
+    ]
 
 
 def _share(share: float) -> str:
@@ -260,7 +308,7 @@ _OF_INPUT: Final = (5, 7, 9)
 
 def backtest_tables(backtest: Backtest) -> list[Table]:
     """One table for each horizon with scored forecasts."""
-    from rich.table import Table  # noqa: PLC0415 — needed only for printing
+    from rich.table import Table  # noqa: PLC0415
 
     tables = []
     columns = card_columns(backtest.plant, driven=backtest.driven)
@@ -307,14 +355,18 @@ def _trust(backtest: Backtest) -> Iterator[str]:
         trust = statements_of(last).trust
         forecasts = "they"
         if backtest.plant.channel_of is not None:
-            of_output = next(score.trusted for score in last.signals if score.signal == name)
+            of_output = next(
+                score.trusted for score in last.signals if score.signal == name
+            )
             trust = trust._replace(horizons=of_output, doubts="")
             forecasts = f"the forecasts of {signal_names(backtest.plant).output}"
         why = f": {trust.doubts}" if trust.doubts else ""
         yield f"At the end {forecasts} pass the test of trust {ahead_words(trust.horizons)}{why}."
 
 
-def arrival_words(answer: Arrival, plant: type[Plant], stamp: int, *, closed: bool) -> list[str]:
+def arrival_words(
+    answer: Arrival, plant: type[Plant], stamp: int, *, closed: bool
+) -> list[str]:
     """The answer in lines; `stamp` is that of the newest sample, ns, and `closed` says whether the loop is
     known."""
     unit = plant.output.unit if closed else plant.drive.unit
@@ -340,7 +392,9 @@ def arrival_words(answer: Arrival, plant: type[Plant], stamp: int, *, closed: bo
             f"to be there {target}: {begin} at once; {mean} in the mean, but the band may arrive later"
         )
     else:
-        lines.append(f"not there {target}, even with {_amount(answer.move, unit)} from now on")
+        lines.append(
+            f"not there {target}, even with {_amount(answer.move, unit)} from now on"
+        )
     return lines
 
 

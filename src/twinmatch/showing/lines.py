@@ -44,16 +44,26 @@ def line_text(verdict: Verdict, period: float = 1.0) -> str:
 def header_text() -> str:
     """The column names, with their units where there is room."""
     names = zip(COLUMNS, _WIDTHS, strict=False)
-    return _columns([name if len(name) <= width else name.partition(" / ")[0] for name, width in names])
+    return _columns(
+        [
+            name if len(name) <= width else name.partition(" / ")[0]
+            for name, width in names
+        ]
+    )
 
 
 def _columns(cells: Sequence[str]) -> str:
-    return "  ".join(f"{one_line(cell):<{width}}" for cell, width in zip(cells, _WIDTHS, strict=True))
+    return "  ".join(
+        f"{one_line(cell):<{width}}" for cell, width in zip(cells, _WIDTHS, strict=True)
+    )
 
 
 def redraws(stream: IO[str]) -> bool:
     """Whether a view can be redrawn there: a terminal, and not a dumb one."""
-    return stream.isatty() and os.environ.get("TERM", "").lower() not in {"dumb", "unknown"}
+    return stream.isatty() and os.environ.get("TERM", "").lower() not in {
+        "dumb",
+        "unknown",
+    }
 
 
 class Lines:

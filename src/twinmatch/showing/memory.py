@@ -41,7 +41,10 @@ class RememberedRig(NamedTuple):
     def outdated(self) -> int:
         """Number of sessions that were remembered only with other equations than today's."""
         current = current_lessons(self.lessons, self.plant)
-        return len({lesson.session for lesson in self.lessons} - {lesson.session for lesson in current})
+        return len(
+            {lesson.session for lesson in self.lessons}
+            - {lesson.session for lesson in current}
+        )
 
     @property
     def title(self) -> str:
@@ -56,13 +59,17 @@ class RememberedRig(NamedTuple):
             text = self.report.sentence
             sentences.append(f"{text[0].upper()}{text[1:]}.")
         if self.outdated:
-            some = f"{self.outdated} session{'s' if self.outdated > 1 else ''} remembered"
-            sentences.append(f"Not compared: {some} with other equations of this plant; remember them again.")
+            some = (
+                f"{self.outdated} session{'s' if self.outdated > 1 else ''} remembered"
+            )
+            sentences.append(
+                f"Not compared: {some} with other equations of this plant; remember them again."
+            )
         return sentences
 
     def table(self) -> Table:
         """One row for each session, with the parameters of the structure and their standard deviations."""
-        from rich.table import Table  # noqa: PLC0415 — needed only to print
+        from rich.table import Table  # noqa: PLC0415
 
         shown = Table(title=f"{self.title}: {self.structure}", box=None, pad_edge=False)
         free = self.report.lessons[0].free if self.report.lessons else ()
@@ -75,7 +82,9 @@ class RememberedRig(NamedTuple):
                 f"{q.text(lesson.parameters[q.name])} ± {q.error_text(float(deviation))}"
                 for q, deviation in zip(formats, lesson.deviations, strict=True)
             )
-            faulty = "" if lesson.fault_at is None else f", faulty from {lesson.fault_at}"
+            faulty = (
+                "" if lesson.fault_at is None else f", faulty from {lesson.fault_at}"
+            )
             shown.add_row(
                 lesson.name,
                 began_text(lesson),
@@ -87,7 +96,10 @@ class RememberedRig(NamedTuple):
 
     def document(self) -> dict[str, Any]:
         """All of it as a dictionary for JSON."""
-        changes = [asdict(change) | {"sentence": change.sentence} for change in self.report.changes]
+        changes = [
+            asdict(change) | {"sentence": change.sentence}
+            for change in self.report.changes
+        ]
         return {
             "plant": self.plant.name,
             "rig": self.rig,
@@ -98,12 +110,18 @@ class RememberedRig(NamedTuple):
         }
 
 
-def remembered(lessons: Sequence[Lesson], plant: type[Plant], rig: str) -> RememberedRig:
+def remembered(
+    lessons: Sequence[Lesson], plant: type[Plant], rig: str
+) -> RememberedRig:
     """What these lessons on a plant and rig say, in the structure that its sessions share."""
     current = current_lessons(lessons, plant)
     structure = shared_structure(current)
     compared = [lesson for lesson in current if lesson.structure == structure]
-    report = report_on(compared, plant.model(structure)) if structure else MemoryReport([], [], [], [])
+    report = (
+        report_on(compared, plant.model(structure))
+        if structure
+        else MemoryReport([], [], [], [])
+    )
     return RememberedRig(plant, rig, structure, list(lessons), report)
 
 
@@ -122,7 +140,9 @@ def began_text(lesson: Lesson) -> str:
     """When a session began, in UTC; a dash for a recording without a date."""
     if lesson.began == EPOCH:
         return "–"
-    return datetime.fromtimestamp(lesson.began / 1e9, timezone.utc).strftime("%Y-%m-%d %H:%M")
+    return datetime.fromtimestamp(lesson.began / 1e9, timezone.utc).strftime(
+        "%Y-%m-%d %H:%M"
+    )
 
 
 def _finite(value: Any) -> Any:

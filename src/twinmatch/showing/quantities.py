@@ -10,7 +10,9 @@ from typing import Final, NamedTuple
 from twinmatch.dynamics import Parameter, Plant, State, channels
 from twinmatch.signals import KELVIN, OperatingPoint, point_values
 
-_TAKE_PREFIXES: Final = frozenset({"V", "A", "W", "J", "N", "Ω", "m", "s", "F", "H", "Pa", "Hz", "rad"})
+_TAKE_PREFIXES: Final = frozenset(
+    {"V", "A", "W", "J", "N", "Ω", "m", "s", "F", "H", "Pa", "Hz", "rad"}
+)
 
 
 class ParameterFormat(NamedTuple):
@@ -30,7 +32,11 @@ class ParameterFormat(NamedTuple):
     @property
     def label(self) -> str:
         """Symbol and unit, as an axis label."""
-        return f"{self.symbol} / ({self.unit})" if "/" in self.unit else f"{self.symbol} / {self.unit}"
+        return (
+            f"{self.symbol} / ({self.unit})"
+            if "/" in self.unit
+            else f"{self.symbol} / {self.unit}"
+        )
 
     def shown(self, value: float) -> float:
         """Convert a value to the unit it is shown in."""
@@ -48,14 +54,20 @@ class ParameterFormat(NamedTuple):
 def parameter_format(plant: type[Plant], name: str) -> ParameterFormat:
     """A parameter of the plant, or the initial value of a state; other names are shown unchanged."""
     start = name in plant.states
-    declared: Parameter | State | None = plant.states.get(name) if start else plant.parameters.get(name)
+    declared: Parameter | State | None = (
+        plant.states.get(name) if start else plant.parameters.get(name)
+    )
     if declared is None:
         return ParameterFormat(name, name, "–", name, decimals=4)
     symbol = declared.symbol or name
     prefix, factor = _prefix(declared.unit, declared.scale)
     # Where the output is in °C, absolute temperatures are shown in °C too.
     difference = isinstance(declared, Parameter) and declared.relative
-    celsius = declared.unit == "K" and not difference and any(y.unit == "°C" for y in plant.outputs.values())
+    celsius = (
+        declared.unit == "K"
+        and not difference
+        and any(y.unit == "°C" for y in plant.outputs.values())
+    )
     return ParameterFormat(
         name,
         f"{symbol}(0)" if start else symbol,
@@ -106,10 +118,16 @@ def number(value: float | None, decimals: int = 2, *, plus: bool = False) -> str
     return text.replace("-", "−")
 
 
-def span_text(low: float, high: float, decimals: int = 3, separator: str = " to ") -> str:
+def span_text(
+    low: float, high: float, decimals: int = 3, separator: str = " to "
+) -> str:
     """An interval; a dash where an end is not known."""
     both_known = not (math.isnan(low) or math.isnan(high))
-    return f"{number(low, decimals)}{separator}{number(high, decimals)}" if both_known else number(None)
+    return (
+        f"{number(low, decimals)}{separator}{number(high, decimals)}"
+        if both_known
+        else number(None)
+    )
 
 
 def percent(share: float, decimals: int = 1) -> str:
@@ -133,7 +151,9 @@ class ShownSignal(NamedTuple):
 
     def text(self, *values: float, finer: int = 0) -> str:
         """One value, or a range of two, with the unit; `finer` more decimal places, as for an error."""
-        shown = " to ".join(number(float(value), self.decimals + finer) for value in values)
+        shown = " to ".join(
+            number(float(value), self.decimals + finer) for value in values
+        )
         return f"{shown} {self.unit}".rstrip()
 
     @property
@@ -155,7 +175,8 @@ def signal_names(plant: type[Plant]) -> ShownSignals:
     u = plant.drive
     driven = "control" if u.name.lower() == u.unit.lower() else u.name.replace("_", " ")
     return ShownSignals(
-        ShownSignal(y.name.replace("_", " "), y.unit, y.decimals), ShownSignal(driven, u.unit, u.decimals)
+        ShownSignal(y.name.replace("_", " "), y.unit, y.decimals),
+        ShownSignal(driven, u.unit, u.decimals),
     )
 
 

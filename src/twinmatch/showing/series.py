@@ -42,12 +42,20 @@ class Comparison:
     @property
     def closed_residual_y(self) -> FloatArray:
         """Measured minus closed-loop-twin output; empty without one."""
-        return np.empty(0) if self.closed is None else self._off(self.window.output, self.closed.output)
+        return (
+            np.empty(0)
+            if self.closed is None
+            else self._off(self.window.output, self.closed.output)
+        )
 
     @property
     def closed_residual_u(self) -> FloatArray:
         """Measured minus closed-loop-twin input; empty without one."""
-        return np.empty(0) if self.closed is None else self._off(self.window.input, self.closed.input)
+        return (
+            np.empty(0)
+            if self.closed is None
+            else self._off(self.window.input, self.closed.input)
+        )
 
     @property
     def driven_residual_y(self) -> FloatArray:
@@ -69,14 +77,20 @@ def compare(
         if len(window) < SKIPPED + 2:
             continue
         if law is None:
-            comparisons.append(Comparison(window, None, response_on(parameters, window, None).outputs))
+            comparisons.append(
+                Comparison(window, None, response_on(parameters, window, None).outputs)
+            )
             continue
         states = begin_window(parameters, window)
         measured = window.disturbances[SKIPPED:]
         inputs = window.inputs[SKIPPED:]
         step = window.period
-        driven = simulate_driven(parameters, inputs, states=states, period=step, disturbances=measured)
-        comparisons.append(Comparison(window, response_on(parameters, window, law), driven.outputs))
+        driven = simulate_driven(
+            parameters, inputs, states=states, period=step, disturbances=measured
+        )
+        comparisons.append(
+            Comparison(window, response_on(parameters, window, law), driven.outputs)
+        )
     return tuple(comparisons)
 
 
@@ -91,7 +105,9 @@ def rolling_rms(values: FloatArray, count: int) -> FloatArray:
     sums = np.concatenate(([0.0], np.cumsum(values**2)))
     ends = np.arange(1, values.size + 1)
     begins = np.maximum(ends - count, 0)
-    return np.asarray(np.sqrt(np.maximum(sums[ends] - sums[begins], 0.0) / (ends - begins)))
+    return np.asarray(
+        np.sqrt(np.maximum(sums[ends] - sums[begins], 0.0) / (ends - begins))
+    )
 
 
 _BEFORE = 0.4
@@ -123,7 +139,9 @@ class Fan:
     def times(self) -> FloatArray:
         """When the samples came that are compared and were received, s after the forecast, shape (k,)."""
         return (
-            np.empty(0) if self.measured is None else self.measured.received(self._ahead(self.forecast.time))
+            np.empty(0)
+            if self.measured is None
+            else self.measured.received(self._ahead(self.forecast.time))
         )
 
     @property
@@ -131,7 +149,9 @@ class Fan:
         """Measured output minus the mean of the forecast at these times, shape (k,)."""
         if self.measured is None:
             return np.empty(0)
-        return self.measured.received(self.measured.output - self._ahead(self.forecast.output.mean))
+        return self.measured.received(
+            self.measured.output - self._ahead(self.forecast.output.mean)
+        )
 
     @property
     def in_band(self) -> tuple[FloatArray, FloatArray]:
@@ -148,7 +168,9 @@ class Fan:
         return values[: self.judged]
 
     def _inside(self, band: Band, measured: FloatArray) -> FloatArray:
-        inside = (self._ahead(band.low) <= measured) & (measured <= self._ahead(band.high))
+        inside = (self._ahead(band.low) <= measured) & (
+            measured <= self._ahead(band.high)
+        )
         is_inside = np.asarray(inside, dtype=np.float64)
         return is_inside if self.measured is None else self.measured.received(is_inside)
 
@@ -163,7 +185,9 @@ def fan(forecast: Forecast, stretches: Sequence[Window]) -> Fan:
     origin = forecast.sample
     before = max(round(_BEFORE * size), 1)
     whole = next(part for part in stretches if part.first <= origin <= part.last)
-    window = whole.part(max(whole.first, origin - before), min(whole.last, origin + size))
+    window = whole.part(
+        max(whole.first, origin - before), min(whole.last, origin + size)
+    )
     levels = window.references
     assumed_levels = forecast.references
     if not forecast.closed:

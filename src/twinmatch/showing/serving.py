@@ -28,9 +28,17 @@ def unusable(server: str, address: str, port: int, cause: object) -> ServingErro
 def place_settings(port: int) -> tuple[Setting, ...]:
     """The parameters of a server's node for its address, port and names, with this default port."""
     return (
-        Setting("address", "127.0.0.1", "Address to serve on; any but a loopback address is open to others."),
+        Setting(
+            "address",
+            "127.0.0.1",
+            "Address to serve on; any but a loopback address is open to others.",
+        ),
         Setting("port", port, "TCP port; 0: any free port.", "", 0, 65535),
-        Setting("hosts", [], "Names it answers to besides those of loopback and its address."),
+        Setting(
+            "hosts",
+            [],
+            "Names it answers to besides those of loopback and its address.",
+        ),
     )
 
 
@@ -41,7 +49,9 @@ def listen(server: str, address: str, port: int) -> tuple[socket.socket, str]:
         ServingError: the address or port cannot be used.
     """
     try:
-        family, kind, number, _, place = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
+        family, kind, number, _, place = socket.getaddrinfo(
+            address, port, type=socket.SOCK_STREAM
+        )[0]
         bound = socket.socket(family, kind, number)
         try:
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -76,32 +86,54 @@ class Hosts:
     def of(cls, address: str, named: Iterable[str] = ()) -> Hosts:
         """The names of a server on this address, and those that the user gave."""
         closed = is_loopback(address)
-        names = {} if closed else {address.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
-        return cls(frozenset(names), frozenset(name.lower() for name in named), not closed)
+        names = (
+            {}
+            if closed
+            else {
+                address.lower(),
+                socket.gethostname().lower(),
+                socket.getfqdn().lower(),
+            }
+        )
+        return cls(
+            frozenset(names), frozenset(name.lower() for name in named), not closed
+        )
 
-    def refusal(self, host: str | None, origin: str | None, *, beside: bool = False) -> str:
+    def refusal(
+        self, host: str | None, origin: str | None, *, beside: bool = False
+    ) -> str:
         """Why a request with these headers is refused, in a sentence; empty if it is not.
 
         With `beside`, pages of other servers of this machine and pages from files may use this server.
         """
         name = _name_in(host or "")
-        if not (is_loopback(name) or name in self.own | self.given or (self.addresses and _is_address(name))):
-            reason = f"under the name {_short(name)}" if name else "to a request without a host's name"
-            return (
-                f"this server does not answer {reason}; open it by its address, or name the host with --host"
+        if not (
+            is_loopback(name)
+            or name in self.own | self.given
+            or (self.addresses and _is_address(name))
+        ):
+            reason = (
+                f"under the name {_short(name)}"
+                if name
+                else "to a request without a host's name"
             )
+            return f"this server does not answer {reason}; open it by its address, or name the host with --host"
         if origin is None:
             return ""
         _, _, place = origin.partition("://")
         origin_host = _name_in(place)
-        if origin_host and (place.lower() == (host or "").lower() or origin_host in self.given):
+        if origin_host and (
+            place.lower() == (host or "").lower() or origin_host in self.given
+        ):
             return ""
         if beside and (origin == "file://" or is_loopback(origin_host)):
             return ""
         return f"a page of {_short(origin)} may not use this server; --host NAME lets those of a host use it"
 
 
-_HOST: Final = re.compile(r"(?:\[([0-9a-f:.]+)\]|([\w.-]+))(?::\d{1,5})?", re.ASCII | re.IGNORECASE)
+_HOST: Final = re.compile(
+    r"(?:\[([0-9a-f:.]+)\]|([\w.-]+))(?::\d{1,5})?", re.ASCII | re.IGNORECASE
+)
 
 
 def _name_in(host: str) -> str:
@@ -133,4 +165,6 @@ def warn_if_open(name: str, address: str, able: str) -> None:
 
 def is_loopback(address: str) -> bool:
     """Whether an address can be reached only from this machine."""
-    return address == "localhost" or (_is_address(address) and ip_address(address).is_loopback)
+    return address == "localhost" or (
+        _is_address(address) and ip_address(address).is_loopback
+    )

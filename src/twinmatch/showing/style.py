@@ -56,7 +56,8 @@ def rc() -> dict[str, Any]:
         "axes.spines.top": False,
         "axes.titlelocation": "left",
         "axes.titlesize": 10,
-        "axes.titley": 1.0,  # otherwise every layout measures the axes again to look for ticks above them
+        # otherwise every layout measures the axes again to look for ticks above them
+        "axes.titley": 1.0,
         "figure.facecolor": "white",
         "font.family": ["DejaVu Sans"],
         "font.size": 9,

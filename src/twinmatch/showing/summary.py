@@ -31,10 +31,15 @@ def _judgement(summary: SessionSummary) -> str:
     parts.append(trust_words(summary))
     level = summary.trust.level
     if math.isfinite(summary.fit_y) and level is not TrustLevel.FAULT:
-        outputs = shown_outputs(summary.parameters.model.plant) if summary.parameters else ["output"]
+        outputs = (
+            shown_outputs(summary.parameters.model.plant)
+            if summary.parameters
+            else ["output"]
+        )
         fit_of_output = summary.fits.outputs if summary.fits else (summary.fit_y,)
         fit = ", ".join(
-            f"{y} fit {percent(share)} %" for y, share in zip(outputs, fit_of_output, strict=True)
+            f"{y} fit {percent(share)} %"
+            for y, share in zip(outputs, fit_of_output, strict=True)
         )
         if summary.fit_y < _POOR and level is TrustLevel.TRUSTED:
             fit = f"left without readings it drifts off ({fit})"
@@ -49,7 +54,9 @@ def _missing(summary: SessionSummary) -> str:
         return f"{trust.reason}. Look at the plant first."
     verdicts = f"{summary.verdicts} verdicts, but no valid match."
     if summary.refusal:
-        return f"{verdicts} {summary.refusal[0].upper()}{summary.refusal[1:].rstrip('.')}."
+        return (
+            f"{verdicts} {summary.refusal[0].upper()}{summary.refusal[1:].rstrip('.')}."
+        )
     if trust.reason and trust.reason != LEVEL_WORDS[TrustLevel.UNKNOWN]:
         return f"{verdicts} {trust.reason[0].upper()}{trust.reason[1:]}."
     if summary.closed:
@@ -59,7 +66,10 @@ def _missing(summary: SessionSummary) -> str:
 
 def _named(summary: SessionSummary, name: str) -> str:
     """A twin in words; a match by its set-point, or, if the loop is not known, by the output it was near."""
-    if summary.parameters is not None and not ShownTwin(name, summary.parameters).is_match:
+    if (
+        summary.parameters is not None
+        and not ShownTwin(name, summary.parameters).is_match
+    ):
         return name
     return f"match {'at' if summary.closed else 'near'} {name}"
 
@@ -67,22 +77,38 @@ def _named(summary: SessionSummary, name: str) -> str:
 def trust_words(summary: SessionSummary) -> str:
     """How far to trust the leader now: names only horizons and levels at which it passes the test."""
     trust = summary.trust
-    proven = f"{ahead_words(trust.horizons)} {summary.range}" if trust.horizons and summary.range else ""
+    proven = (
+        f"{ahead_words(trust.horizons)} {summary.range}"
+        if trust.horizons and summary.range
+        else ""
+    )
     if trust.level in {TrustLevel.FAULT, TrustLevel.DOUBTFUL}:
-        word = "doubtful now" if trust.level is TrustLevel.DOUBTFUL else "do not trust it now"
+        word = (
+            "doubtful now"
+            if trust.level is TrustLevel.DOUBTFUL
+            else "do not trust it now"
+        )
         return f"{word}: {trust.reason}{f' (its forecasts held {proven})' if proven else ''}"
     if trust.level is TrustLevel.UNKNOWN or not proven:
         why = trust.reason if trust.level is TrustLevel.UNKNOWN else ""
         return f"how far to trust it is not known yet{f': {why}' if why else ''}"
-    return f"trust it {proven}, but {trust.doubts}" if trust.doubts else f"trust it {proven}"
+    return (
+        f"trust it {proven}, but {trust.doubts}"
+        if trust.doubts
+        else f"trust it {proven}"
+    )
 
 
 def fault_spans(summary: SessionSummary) -> list[str]:
     """Each fault of the session, oldest first, and when it showed."""
     faults = [stretch for stretch in summary.stretches if stretch.fault]
-    spans = [f"{fault.fault} from {fault.fault_times(summary.period)}" for fault in faults]
+    spans = [
+        f"{fault.fault} from {fault.fault_times(summary.period)}" for fault in faults
+    ]
     if faults and faults[-1] is summary.stretches[-1]:
-        spans[-1] = f"{faults[-1].fault} since {faults[-1].begins * summary.period:.0f} s"
+        spans[-1] = (
+            f"{faults[-1].fault} since {faults[-1].begins * summary.period:.0f} s"
+        )
     return spans
 
 
@@ -100,7 +126,9 @@ def closing_lines(summary: SessionSummary, verdict: Verdict | None) -> list[str]
     """
     lines = [f"Note: {note}" for note in summary.notes]
     if verdict is not None and verdict.structure:
-        lines.append(f"Structure: the samples justify {verdict.structure}{_plant(verdict)}.")
+        lines.append(
+            f"Structure: the samples justify {verdict.structure}{_plant(verdict)}."
+        )
     lines.append(sentence(summary))
     if summary.nominal is not None:
         order = f" (orders {summary.order})" if summary.order else ""
@@ -123,12 +151,18 @@ def _plant(verdict: Verdict) -> str:
         for name in parameters
         if parameters[name] or name in fitted
     ]
-    shown = [f"{q.symbol} {q.text(value)} {q.unit}".removesuffix(" 1") for q, value in formats_and_values]
+    shown = [
+        f"{q.symbol} {q.text(value)} {q.unit}".removesuffix(" 1")
+        for q, value in formats_and_values
+    ]
     return f" ({', '.join(shown)})"
 
 
 def document(
-    session: str, verdicts: Sequence[Verdict], summary: SessionSummary, matches: Sequence[MatchReport] = ()
+    session: str,
+    verdicts: Sequence[Verdict],
+    summary: SessionSummary,
+    matches: Sequence[MatchReport] = (),
 ) -> dict[str, Any]:
     """A whole judged session; every value is a string, finite number, boolean, None, list or dict.
 
@@ -146,7 +180,9 @@ def document(
             "parameters": dict(summary.parameters) if summary.parameters else None,
             "fit": finite(summary.fits.shown if summary.fits else dict.fromkeys("yu")),
             "order": summary.order,
-            "range": [list(span) for span in summary.range.spans] if summary.range else [],
+            "range": [list(span) for span in summary.range.spans]
+            if summary.range
+            else [],
             "sentence": sentence(summary),
             "notes": list(summary.notes),
         },

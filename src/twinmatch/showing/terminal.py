@@ -22,7 +22,12 @@ from twinmatch.comparing import CandidateScore, TrustLevel, Verdict, statements_
 from twinmatch.compiled import told
 from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.console import Console
-from twinmatch.showing.family import FamilyTable, FigureColumn, chosen_score, family_table_of
+from twinmatch.showing.family import (
+    FamilyTable,
+    FigureColumn,
+    chosen_score,
+    family_table_of,
+)
 from twinmatch.showing.lines import STYLES, Lines, redraws
 from twinmatch.showing.quantities import ParameterFormat, number, percent, point_number
 from twinmatch.showing.verdicts import (
@@ -73,7 +78,13 @@ class Screen:
     Its methods draw, in the caller's thread, when the last drawing is long enough ago.
     """
 
-    def __init__(self, console: Console, title: str, period: float = 1.0, total: int | None = None) -> None:
+    def __init__(
+        self,
+        console: Console,
+        title: str,
+        period: float = 1.0,
+        total: int | None = None,
+    ) -> None:
         """Show a run of `total` samples (None: not known), `period` seconds apart."""
         self._console = console
         self._title = title
@@ -87,7 +98,11 @@ class Screen:
         self._over = False
         self._compiled = ""
         self._live = Live(
-            self, console=console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
+            self,
+            console=console,
+            auto_refresh=False,
+            redirect_stdout=False,
+            redirect_stderr=False,
         )
 
     def open(self) -> None:
@@ -117,10 +132,16 @@ class Screen:
         """Keep the match for the marks in the family table; its result comes with the verdict."""
         self._matches.append(report)
         if len(self._matches) > 2 * MAX_MATCHES:
-            standing = {(c.first, c.last) for c in self._verdict.candidates} if self._verdict else set()
+            standing = (
+                {(c.first, c.last) for c in self._verdict.candidates}
+                if self._verdict
+                else set()
+            )
             old = self._matches[:-MAX_MATCHES]
             new = self._matches[-MAX_MATCHES:]
-            self._matches = [report for report in old if report.match.samples in standing] + new
+            self._matches = [
+                report for report in old if report.match.samples in standing
+            ] + new
 
     def take_verdict(self, verdict: Verdict) -> None:
         """Show this verdict from now on."""
@@ -142,9 +163,13 @@ class Screen:
         ended = time.monotonic()
         self._next = ended + max(_PACE.shortest, (ended - began) / _PACE.share)
 
-    def __rich_console__(self, console: AnyConsole, options: ConsoleOptions) -> RenderResult:
+    def __rich_console__(
+        self, console: AnyConsole, options: ConsoleOptions
+    ) -> RenderResult:
         verdict = self._verdict
-        lines = console.render_lines(Group(*self._fixed(verdict, options.max_width)), options, pad=False)
+        lines = console.render_lines(
+            Group(*self._fixed(verdict, options.max_width)), options, pad=False
+        )
         room = MAX_EVENTS if self._over else console.size.height - len(lines) - 2
         lines += self._newest(console, options, room)
         for line in lines:
@@ -153,15 +178,28 @@ class Screen:
 
     def _fixed(self, verdict: Verdict | None, width: int) -> list[RenderableType]:
         """What stands above the events: progress, verdict, and the tables of signals and candidates."""
-        shown: list[RenderableType] = [self._progress(width), _headline(verdict, self._period)]
+        shown: list[RenderableType] = [
+            self._progress(width),
+            _headline(verdict, self._period),
+        ]
         if self._compiled:
-            shown.append(Text(f"compiling {self._compiled} once on this machine", style="dim"))
+            shown.append(
+                Text(f"compiling {self._compiled} once on this machine", style="dim")
+            )
         if trust_of_signals := trust_by_signal(verdict):
             shown += [Text(), signal_table(trust_of_signals)]
         if verdict is not None and verdict.family:
-            accepted = [report.match for report in self._matches if report.match.accepted]
-            determined = {m.samples: m.believed for m in accepted if m.samples is not None}
-            shown += [Text(), family_table(verdict, determined, width), Text(LEGEND, style="dim")]
+            accepted = [
+                report.match for report in self._matches if report.match.accepted
+            ]
+            determined = {
+                m.samples: m.believed for m in accepted if m.samples is not None
+            }
+            shown += [
+                Text(),
+                family_table(verdict, determined, width),
+                Text(LEGEND, style="dim"),
+            ]
         return shown
 
     def _progress(self, width: int) -> RenderableType:
@@ -174,16 +212,22 @@ class Screen:
             total = max(self._total, 1)
             if width > 2 * BAR + len(self._title):
                 parts.append(ProgressBar(total, self._done, width=BAR))
-            parts.append(Text(f"{percent(self._done / total, 0)} %, {plant_time} of {whole} h"))
+            parts.append(
+                Text(f"{percent(self._done / total, 0)} %, {plant_time} of {whole} h")
+            )
         grid = Table.grid(padding=(0, 2, 0, 0))
         grid.add_row(*parts)
         return grid
 
-    def _newest(self, console: AnyConsole, options: ConsoleOptions, room: int) -> list[list[Segment]]:
+    def _newest(
+        self, console: AnyConsole, options: ConsoleOptions, room: int
+    ) -> list[list[Segment]]:
         """The newest events that fit, oldest first."""
         shown: list[list[Segment]] = []
         for event in reversed(self._events):
-            lines = console.render_lines(_event_line(event, self._period), options, pad=False)
+            lines = console.render_lines(
+                _event_line(event, self._period), options, pad=False
+            )
             if len(shown) + len(lines) > room and not self._over:
                 if not shown:  # part of the newest event is better than nothing
                     shown = lines[: max(room, 0)]
@@ -192,7 +236,9 @@ class Screen:
         return [[], *shown] if shown else []
 
 
-def view_on(console: Console, title: str, period: float = 1.0, total: int | None = None) -> Screen | Lines:
+def view_on(
+    console: Console, title: str, period: float = 1.0, total: int | None = None
+) -> Screen | Lines:
     """A view that is redrawn where the console supports it, otherwise lines."""
     if console.is_terminal and redraws(console.file):
         # A separate console: the given one may not wrap and would draw past the terminal's edge.
@@ -210,16 +256,34 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
     if verdict is None:
         grid.add_row("verdict", "none yet")
         return grid
-    sure = "decided" if verdict.decided else "not decided: the data do not show which twin forecasts best"
-    grid.add_row("leader", Text(leader_words(verdict) + (f"; {sure}" if verdict.leader is not None else "")))
+    sure = (
+        "decided"
+        if verdict.decided
+        else "not decided: the data do not show which twin forecasts best"
+    )
+    grid.add_row(
+        "leader",
+        Text(
+            leader_words(verdict) + (f"; {sure}" if verdict.leader is not None else "")
+        ),
+    )
     chosen = nominal_score(verdict)
-    probable = "" if chosen is None else f"  probability {number(chosen.nominal_probability)}"
-    grid.add_row("nominal", Text.assemble((chosen.name, "bold"), probable) if chosen else Text("none yet"))
+    probable = (
+        "" if chosen is None else f"  probability {number(chosen.nominal_probability)}"
+    )
+    grid.add_row(
+        "nominal",
+        Text.assemble((chosen.name, "bold"), probable) if chosen else Text("none yet"),
+    )
     if fault is not None:
-        grid.add_row("fault", Text(fault.with_begin(period), style=STYLES[TrustLevel.FAULT]))
+        grid.add_row(
+            "fault", Text(fault.with_begin(period), style=STYLES[TrustLevel.FAULT])
+        )
     if verdict.leader is not None:
         grid.add_row("forecasts", Text(missed(verdict)))
-    grid.add_row("verdict", Text(f"at {number(verdict.sample * period, 0)} s: {verdict.reason}"))
+    grid.add_row(
+        "verdict", Text(f"at {number(verdict.sample * period, 0)} s: {verdict.reason}")
+    )
     return grid
 
 
@@ -230,7 +294,9 @@ def _event_line(event: Event, period: float) -> RenderableType:
     why = f": {event.why}" if event.why else ""
     grid = Table.grid(padding=(0, 1, 0, 0))
     when = f"{number((event.sample or 0) * period, 0):>6} s"
-    grid.add_row(when, Text(mark, style=style), Text.assemble((event.title, style), (why, "dim")))
+    grid.add_row(
+        when, Text(mark, style=style), Text.assemble((event.title, style), (why, "dim"))
+    )
     return grid
 
 
@@ -245,7 +311,18 @@ WellDetermined = Mapping[tuple[int, int], Sequence[str]]
 
 _FREE: Final = "parameters"
 _BY_PRIORITY: Final = (
-    *("candidate", "order", "Σ ν-gap", "P(nominal)", _FREE, "gain", "at", "margin", "90 % of Σ", "nAIC"),
+    *(
+        "candidate",
+        "order",
+        "Σ ν-gap",
+        "P(nominal)",
+        _FREE,
+        "gain",
+        "at",
+        "margin",
+        "90 % of Σ",
+        "nAIC",
+    ),
     *("BIC", "MDL", "ν-gap now"),
 )
 """Names of the columns; where there is no room for all, the last are left out first."""
@@ -276,11 +353,17 @@ def family_table(verdict: Verdict, determined: WellDetermined, width: int) -> Ta
     columns = _family_columns(verdict)
     parameters = [determined.get((c.first, c.last), ()) for c in family]
     texts = [list(map(column.text_of, family, parameters)) for column in columns]
-    widths = [_width(column.head, cells) for column, cells in zip(columns, texts, strict=True)]
-    table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
+    widths = [
+        _width(column.head, cells) for column, cells in zip(columns, texts, strict=True)
+    ]
+    table = Table(
+        box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold"
+    )
     chosen = _fitting([column.priority for column in columns], widths, width)
     for k in chosen:
-        table.add_column(columns[k].head, no_wrap=True, justify="right" if k else "left")
+        table.add_column(
+            columns[k].head, no_wrap=True, justify="right" if k else "left"
+        )
     for row, candidate in enumerate(family):
         style = "bold" if candidate.name in {verdict.leader, verdict.nominal} else ""
         table.add_row(*(texts[k][row] for k in chosen), style=style)
@@ -293,7 +376,9 @@ def _width(head: str, cells: Sequence[str]) -> int:
 
 def signal_table(rows: Sequence[Mapping[str, str]]) -> Table:
     """How far to trust the forecasts of each of several signals."""
-    table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
+    table = Table(
+        box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold"
+    )
     for head in rows[0]:
         table.add_column(head, justify="left" if head == "signal" else "right")
     for row in rows:
@@ -301,7 +386,9 @@ def signal_table(rows: Sequence[Mapping[str, str]]) -> Table:
     return table
 
 
-def _fitting(priorities: Sequence[float], widths: Sequence[int], room: int) -> list[int]:
+def _fitting(
+    priorities: Sequence[float], widths: Sequence[int], room: int
+) -> list[int]:
     """As many columns as have room, chosen by priority, in the order of the table; always at least one."""
     room += _GAP  # there is none after the last column
     chosen: list[int] = []
@@ -316,7 +403,9 @@ def _family_columns(verdict: Verdict) -> list[FamilyColumn]:
     """All columns, in the order of the table; the parameters are those that the structure leaves free."""
 
     def candidate(c: CandidateScore, _: Sequence[str]) -> str:
-        marks = ("▶" if c.name == verdict.leader else " ") + ("○" if c.name == verdict.nominal else " ")
+        marks = ("▶" if c.name == verdict.leader else " ") + (
+            "○" if c.name == verdict.nominal else " "
+        )
         return f"{marks} {c.name}"
 
     def of_both(column: FigureColumn) -> FamilyColumn:
@@ -333,17 +422,26 @@ def _family_columns(verdict: Verdict) -> list[FamilyColumn]:
         return point_number(c.operating_point, c.parameters.model.plant)
 
     table = family_table_of(verdict)
-    columns = [FamilyColumn("candidate", "", candidate), FamilyColumn("at", table.point, point)]
+    columns = [
+        FamilyColumn("candidate", "", candidate),
+        FamilyColumn("at", table.point, point),
+    ]
     columns += [_parameter(table, shown) for shown in table.parameters]
     if verdict.modelled:
         columns.append(FamilyColumn("order", "", lambda c, _: c.chosen_order))
-    columns += [of_both(criterion) for criterion in table.criteria if criterion.name in _BY_PRIORITY]
+    columns += [
+        of_both(criterion)
+        for criterion in table.criteria
+        if criterion.name in _BY_PRIORITY
+    ]
     return [*columns, *map(figure, table.figures)]
 
 
 def _parameter(table: FamilyTable, shown: ParameterFormat) -> FamilyColumn:
     def text(candidate: CandidateScore, determined: Sequence[str]) -> str:
-        return table.parameter(candidate, shown) + ("*" if shown.name in determined else " ")
+        return table.parameter(candidate, shown) + (
+            "*" if shown.name in determined else " "
+        )
 
     # The spaces leave room for the mark after the value.
     return FamilyColumn(f"{shown.symbol} ", f"{shown.unit} ", text)

@@ -75,7 +75,9 @@ COLUMNS: Final[dict[str, Callable[[Verdict, float], str]]] = {
     "miss u / half band": lambda v, _: number(v.miss_u),
     "nominal": lambda v, _: v.nominal or number(None),
     "leader": lambda v, _: v.leader or number(None),
-    "why": lambda v, _: statements_of(v).trust.reason if v.level is TrustLevel.DOUBTFUL else v.reason,
+    "why": lambda v, _: (
+        statements_of(v).trust.reason if v.level is TrustLevel.DOUBTFUL else v.reason
+    ),
 }
 """Headings of a verdict's cells, and their texts for a sampling period in s.
 
@@ -95,28 +97,37 @@ def missed(verdict: Verdict) -> str:
         return LEVEL_WORDS[TrustLevel.UNKNOWN]
     plant = verdict.plant if verdict.forecasts else None
     if plant is None or plant.single:
-        names = [signal.name for signal in signal_names(plant)] if plant else ["output", "control"]
+        names = (
+            [signal.name for signal in signal_names(plant)]
+            if plant
+            else ["output", "control"]
+        )
         misses = list(zip(names, (verdict.miss_y, verdict.miss_u), strict=True))
     else:
         misses = [(plant.called(score.signal), score.miss) for score in verdict.signals]
-    parts = [f"{name} {number(miss, 1)}" for name, miss in misses if not math.isnan(miss)]
+    parts = [
+        f"{name} {number(miss, 1)}" for name, miss in misses if not math.isnan(miss)
+    ]
     return f"{number_list(parts)} half band widths from the forecast"
 
 
-def estimate_words(estimate: EstimatedReading, quantity: Quantity, period: float) -> str:
+def estimate_words(
+    estimate: EstimatedReading, quantity: Quantity, period: float
+) -> str:
     """What a sensor that is not believed should read, and for how long yet that is known well enough.
 
     `period` is the sample time, s.
     """
     time_left = estimate.good - (estimate.sample - estimate.since) * period
-    good = "no longer good" if time_left <= 0.0 else f"good for {time_left / 60.0:.2g} min"
+    good = (
+        "no longer good" if time_left <= 0.0 else f"good for {time_left / 60.0:.2g} min"
+    )
     good = "good for at least an hour" if time_left >= HOUR else good
     value, band, wide, reading = (
-        number(figure, 1) for figure in (estimate.value, estimate.band, estimate.wide, estimate.reading)
+        number(figure, 1)
+        for figure in (estimate.value, estimate.band, estimate.wide, estimate.reading)
     )
-    estimated = (
-        f"the twin reads through {quantity.text or quantity.name}: {value} ± {band} {quantity.unit}".rstrip()
-    )
+    estimated = f"the twin reads through {quantity.text or quantity.name}: {value} ± {band} {quantity.unit}".rstrip()
     return f"{estimated} instead of {reading}, to ± {wide} {good}"
 
 
@@ -134,7 +145,9 @@ def trust_by_signal(verdict: Verdict | None) -> list[dict[str, str]]:
     return [
         {
             "signal": plant.called(score.signal),
-            "trusted / s ahead": number_list(score.trusted) if score.trusted else NOWHERE,
+            "trusted / s ahead": number_list(score.trusted)
+            if score.trusted
+            else NOWHERE,
             f"held {ahead} / %": shares(score.coverage),
             f"better than no change {ahead} / %": shares(score.persistence_skill),
             f"better than ARX {ahead} / %": shares(score.arx_skill),
@@ -150,7 +163,11 @@ def leader_words(verdict: Verdict) -> str:
     if verdict.leader is None:
         return "none yet"
     gain = verdict.leading.gain if verdict.leading else math.nan
-    saved = "" if math.isnan(gain) else f", its forecasts save {number(gain, 1)} characters each"
+    saved = (
+        ""
+        if math.isnan(gain)
+        else f", its forecasts save {number(gain, 1)} characters each"
+    )
     return f"{verdict.leader} (confidence {number(verdict.leader_confidence)}){saved}"
 
 
@@ -183,7 +200,13 @@ class News:
     def is_new(self, verdict: Verdict) -> bool:
         """True if models were identified, a match was refused, or level, fault, leader, nominal or `decided`
         changed."""
-        content = (verdict.level, verdict.fault, verdict.leader, verdict.nominal, verdict.decided)
+        content = (
+            verdict.level,
+            verdict.fault,
+            verdict.leader,
+            verdict.nominal,
+            verdict.decided,
+        )
         changed = content != self._last
         self._last = content
         return changed or not verdict.stands or bool(verdict.match)
@@ -279,7 +302,11 @@ def events_since(before: Verdict | None, verdict: Verdict) -> list[Event]:
         add(EventKind.DISMISSED, Mark.WARNING, f"{name} dismissed", why)
     leader, nominal = (before.leader, before.nominal) if before else (None, None)
     if verdict.leader not in {leader, None}:
-        why = f"its forecasts are better than those of {leader}" if leader else "the first with forecasts"
+        why = (
+            f"its forecasts are better than those of {leader}"
+            if leader
+            else "the first with forecasts"
+        )
         add(EventKind.LEADER, Mark.NOTE, f"{verdict.leader} leads", why)
     if verdict.nominal not in {nominal, None}:
         why = f"previously {nominal}" if nominal else "the first candidate"

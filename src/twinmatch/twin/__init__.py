@@ -12,9 +12,22 @@ from twinmatch.twin.door import Door, Settling, filled_stretches
 from twinmatch.twin.engine import Discriminator, Outcome, Step, Twin
 from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out
-from twinmatch.twin.mirror import Fits, Mirror, MirrorState, nrmse, response_on, window_fit, window_fits
+from twinmatch.twin.mirror import (
+    Fits,
+    Mirror,
+    MirrorState,
+    nrmse,
+    response_on,
+    window_fit,
+    window_fits,
+)
 from twinmatch.twin.schedule import Schedule, ScheduleSettings
-from twinmatch.twin.settings import ForecastSettings, TrustLimits, TwinError, TwinSettings
+from twinmatch.twin.settings import (
+    ForecastSettings,
+    TrustLimits,
+    TwinError,
+    TwinSettings,
+)
 from twinmatch.twin.structure_fits import StructureFits, watched
 from twinmatch.twin.structures import StructureScore, choose_structure
 

@@ -81,9 +81,15 @@ def name_at(point: OperatingPoint, plant: type[Plant]) -> str:
     values = point_values(point)
     outputs = [*plant.outputs.values()]
     if len(outputs) > 1:
-        shown = [round(value, output.decimals) for value, output in zip(values, outputs, strict=True)]
+        shown = [
+            round(value, output.decimals)
+            for value, output in zip(values, outputs, strict=True)
+        ]
         values = tuple(value + 0.0 for value in shown)  # which makes minus zero zero
-    return ", ".join(f"{value:g} {output.unit}" for value, output in zip(values, outputs, strict=True))
+    return ", ".join(
+        f"{value:g} {output.unit}"
+        for value, output in zip(values, outputs, strict=True)
+    )
 
 
 class CandidatePool:
@@ -121,7 +127,9 @@ class CandidatePool:
         self._newest: _NewestWindow | None = None
         self._reached: tuple[FloatArray, FloatArray] | None = None
         """Lowest and highest levels of all scored windows; see `_points`."""
-        self._loop = LoopConditions(law, spans_of(plant), settings.schedule.span, period)
+        self._loop = LoopConditions(
+            law, spans_of(plant), settings.schedule.span, period
+        )
         self._remembered = tuple(remembered)
         self.estranged = ""
         """Why the memory of earlier sessions was left; empty if it was not."""
@@ -164,21 +172,32 @@ class CandidatePool:
         if not self._single:
             return _Member(candidate, window, {}, (), "")
         seed = settings.seed + window.first
-        response = twin_response(candidate.parameters, window, settings.law, settings.sensor, seed)
+        response = twin_response(
+            candidate.parameters, window, settings.law, settings.sensor, seed
+        )
         models = {
-            m.order: m for m in identify(response, scale=settings.model_scale, lead=settings.schedule.lead)
+            m.order: m
+            for m in identify(
+                response, scale=settings.model_scale, lead=settings.schedule.lead
+            )
         }
         measured = window.part(response.first, response.last)
         absolute = settings.plant.output.absolute
-        orders = score_orders(list(models.values()), measured, settings.decimals, absolute=absolute)
+        orders = score_orders(
+            list(models.values()), measured, settings.decimals, absolute=absolute
+        )
         return _Member(candidate, window, models, orders, choose_order(orders))
 
     def enter(self) -> None:
         """Pass all candidates to the forecaster: the structures, the matches, newest first, and the
         remembered twins."""
         matches = [member.candidate for member in reversed(self._members.values())]
-        self.structures.watch([match.parameters.model for match in matches if match.window is not None])
-        self.forecaster.enter([*self.structures.candidates, *matches, *self._remembered], self._successors)
+        self.structures.watch(
+            [match.parameters.model for match in matches if match.window is not None]
+        )
+        self.forecaster.enter(
+            [*self.structures.candidates, *matches, *self._remembered], self._successors
+        )
         self._successors = {}
 
     def rests_on_memory(self, name: str | None) -> bool:
@@ -195,7 +214,9 @@ class CandidatePool:
         self._remembered = ()
         prior = self._settings.prior
         # This closes their accounts: fits of these structures without the prior enter later with new ones.
-        self.forecaster.enter([c for c in self.structures.candidates if c.name not in prior])
+        self.forecaster.enter(
+            [c for c in self.structures.candidates if c.name not in prior]
+        )
         self.structures.forget()
         informed = []
         for name, member in self._members.items():
@@ -212,7 +233,9 @@ class CandidatePool:
                 matches.append(name)
         return self._remove(matches, self.structures.expel(first, last))
 
-    def _remove(self, matches: Sequence[str], structures: tuple[str, ...] = ()) -> tuple[str, ...]:
+    def _remove(
+        self, matches: Sequence[str], structures: tuple[str, ...] = ()
+    ) -> tuple[str, ...]:
         """Remove matches, and compare what is left; `structures` are removed already. Returns all names."""
         for name in matches:
             self._family.dismiss(name)
@@ -233,7 +256,8 @@ class CandidatePool:
         Raises:
             TwinmatchError: no model can be identified on it.
         """
-        with ThreadPoolExecutor(1) as executor:  # both are compiled code, which releases the GIL
+        with ThreadPoolExecutor(1) as executor:
+            # both are compiled code, which releases the GIL
             plant_fit = executor.submit(self.structures.plant_now)
             model = self._model(window)
         self._newest = _NewestWindow(window, model, plant_fit.result())
@@ -241,7 +265,11 @@ class CandidatePool:
 
     def score_leader(self) -> None:
         """Score all candidates again if the leader is a structure without scores."""
-        names = {candidate.name for candidate in self.scores.candidates} if self.scores else set()
+        names = (
+            {candidate.name for candidate in self.scores.candidates}
+            if self.scores
+            else set()
+        )
         if self._newest is not None and names and self.forecaster.leader not in names:
             self.scores = self._score_all(self._newest)
 
@@ -255,10 +283,14 @@ class CandidatePool:
         """
         if not self._single:
             return None
-        order = common_order([self._members[c.name].chosen_order for c in self._family.candidates])
+        order = common_order(
+            [self._members[c.name].chosen_order for c in self._family.candidates]
+        )
         orders = ORDERS[: ORDERS.index(order) + 1]
         settings = self._settings
-        return identify(window, orders, scale=settings.model_scale, lead=settings.schedule.lead)[-1]
+        return identify(
+            window, orders, scale=settings.model_scale, lead=settings.schedule.lead
+        )[-1]
 
     def _score_all(self, newest: _NewestWindow) -> FamilyScores:
         """The scores of the family, and beside it of the structure with the best forecasts."""
@@ -272,7 +304,9 @@ class CandidatePool:
                 raise
             return self._compare(newest, [])
 
-    def _compare(self, newest: _NewestWindow, beside: Sequence[Candidate]) -> FamilyScores:
+    def _compare(
+        self, newest: _NewestWindow, beside: Sequence[Candidate]
+    ) -> FamilyScores:
         """Compare all candidates with one another and with the plant, and choose the nominal one.
 
         Structures beside the family (the paper's) have no Box–Jenkins models.
@@ -285,18 +319,23 @@ class CandidatePool:
         count = len(family)
         gaps = plant_gaps([c.parameters for c in candidates], points, loop)
         gaps_to_plant = [
-            None if plant_now is None else plant_gap(c.parameters, plant_now, points, loop)
+            None
+            if plant_now is None
+            else plant_gap(c.parameters, plant_now, points, loop)
             for c in candidates
         ]
         distances = gaps.matrix[:, :count].sum(axis=1).tolist()
         bare_scores = [
-            _bare_score(*arguments) for arguments in zip(candidates, distances, gaps_to_plant, strict=True)
+            _bare_score(*arguments)
+            for arguments in zip(candidates, distances, gaps_to_plant, strict=True)
         ]
         scores = tuple(
             replace(
                 bare_scores[k],
                 first=member.window.first,
-                last=member.window.last if member.candidate.window else member.window.first - 1,
+                last=member.window.last
+                if member.candidate.window
+                else member.window.first - 1,
                 orders=member.orders,
                 chosen_order=member.chosen_order,
             )
@@ -309,7 +348,13 @@ class CandidatePool:
         all_scores = (*scores, *bare_scores[count:])
         twins = candidates[:count]
         certainty = judge_uncertainty(
-            all_scores, twins, gaps.of(count), nominal, loop, plant=plant_now, seed=self._settings.seed
+            all_scores,
+            twins,
+            gaps.of(count),
+            nominal,
+            loop,
+            plant=plant_now,
+            seed=self._settings.seed,
         )
         return FamilyScores(
             candidates=certainty.candidates,
@@ -318,11 +363,17 @@ class CandidatePool:
             nu_gap=_rows(gaps.matrix),
             nu_gap_points=tuple(chain.from_iterable(map(point_values, gaps.points))),
             identified_gap=_rows(identified),
-            certainty=certainty.certainty if plant else f"{certainty.certainty}; {_NO_ORDERS}",
+            certainty=certainty.certainty
+            if plant
+            else f"{certainty.certainty}; {_NO_ORDERS}",
         )
 
     def _with_models(
-        self, scores: Sequence[CandidateScore], family: Sequence[_Member], window: Window, plant: SimoModel
+        self,
+        scores: Sequence[CandidateScore],
+        family: Sequence[_Member],
+        window: Window,
+        plant: SimoModel,
     ) -> tuple[tuple[CandidateScore, ...], FloatArray]:
         """The scores with what the twins' models of the plant's order say, and the ν-gaps between these."""
         decimals = self._settings.decimals
@@ -354,10 +405,14 @@ class CandidatePool:
         highest = levels.max(axis=0)
         self._reached = lowest, highest
         points = {candidate.operating_point for candidate in self._family.candidates}
-        return tuple(sorted(points | {point_of(lowest), point_of(highest)}, key=point_values))
+        return tuple(
+            sorted(points | {point_of(lowest), point_of(highest)}, key=point_values)
+        )
 
 
-def _bare_score(candidate: Candidate, distance: float, gap_to_plant: float | None) -> CandidateScore:
+def _bare_score(
+    candidate: Candidate, distance: float, gap_to_plant: float | None
+) -> CandidateScore:
     """The scores of a candidate of any structure, without those for which its twin needs a model."""
     first, last = candidate.samples
     return CandidateScore(

@@ -48,7 +48,9 @@ def filled_stretches(
 class Door:
     """Settles the samples of a stream: refuses implausible readings, and fills short gaps."""
 
-    def __init__(self, law: Law | None, longest: int, health: HealthSettings | None) -> None:
+    def __init__(
+        self, law: Law | None, longest: int, health: HealthSettings | None
+    ) -> None:
         """Begin without samples; stand-ins replace at most `longest` samples in a row.
 
         `law` is that of the loop, None if it is not known. `health` has the limits of a reading; None: no
@@ -136,7 +138,9 @@ class Settling:
         `judged` tells whether all verdicts up to the sample with an index have arrived.
         """
         settled: list[Sample] = []
-        while self._waiting and (not self._door.learning or judged(self._waiting[0].index - 1)):
+        while self._waiting and (
+            not self._door.learning or judged(self._waiting[0].index - 1)
+        ):
             settled += self._door.take(self._waiting.popleft())
         return settled
 

@@ -100,7 +100,9 @@ class Discriminator:
         """The settings without what remembered candidates say."""
         self.settings = self._uninformed.informed_by(given)
         self._candidates_at_start = tuple(given)
-        self._external = [model for model in watched(self.settings.plant) if model.is_external]
+        self._external = [
+            model for model in watched(self.settings.plant) if model.is_external
+        ]
         self._waiting: deque[Sample] = deque()
         """Samples before the door."""
         self._entered: deque[Sample] = deque()
@@ -144,10 +146,16 @@ class Discriminator:
         candidates = self._candidates_at_start
         self._schedule = _schedule(self.settings)
         self._pool = CandidatePool(
-            self.settings, self._spoilt, [candidate for candidate in candidates if candidate.remembered]
+            self.settings,
+            self._spoilt,
+            [candidate for candidate in candidates if candidate.remembered],
         )
-        self._bands = BandHistory(self.settings.limits.doubtful, self.settings.noise.all[0])
-        self._given = [candidate for candidate in candidates if not candidate.remembered]
+        self._bands = BandHistory(
+            self.settings.limits.doubtful, self.settings.noise.all[0]
+        )
+        self._given = [
+            candidate for candidate in candidates if not candidate.remembered
+        ]
         self._due: Trigger | None = None
         self._request: MatchRequest | None = None
         self._fits = None
@@ -162,7 +170,11 @@ class Discriminator:
 
     def _trial_between(self, first: int, last: int) -> str:
         """That a law on trial drove between two samples, in words; empty if none did."""
-        begins = [begin for begin, end in self._trials.items() if begin <= last and end >= first]
+        begins = [
+            begin
+            for begin, end in self._trials.items()
+            if begin <= last and end >= first
+        ]
         return f"a law on trial has driven since sample {begins[-1]}" if begins else ""
 
     def _forecasts_of_trial(self, samples: int) -> str:
@@ -222,7 +234,7 @@ class Discriminator:
             return Step((), None)
         self._request = None
         trigger = self._due
-        assert trigger is not None  # noqa: S101 — a request is that of a trigger
+        assert trigger is not None  # noqa: S101
         verdicts: list[Verdict] = []
         with self._replacing_defect(verdicts, trigger.sample, self._begin_candidates):
             verdicts.append(self._judge(trigger, self._admit(trigger, report)))
@@ -248,12 +260,22 @@ class Discriminator:
             estimates += self.monitor.estimates
             with self._replacing_defect(verdicts, sample.index, self._begin_candidates):
                 verdicts += self._take(sample, outputs_taken)
-                if self._snapshots and sample.usable and (sample.seen or sample.refused):
+                if (
+                    self._snapshots
+                    and sample.usable
+                    and (sample.seen or sample.refused)
+                ):
                     snapshots.append(self.forecaster.snapshot())
                 verdicts += self._scheduled(sample)
             if self._request is not None:
                 break
-        return Step(tuple(verdicts), self._request, tuple(snapshots), tuple(settled), tuple(estimates))
+        return Step(
+            tuple(verdicts),
+            self._request,
+            tuple(snapshots),
+            tuple(settled),
+            tuple(estimates),
+        )
 
     def _scheduled(self, sample: Sample) -> list[Verdict]:
         """The verdicts on the window that a sample completes, unless its match has to be requested first."""
@@ -313,18 +335,30 @@ class Discriminator:
         One that is raised at every sample is reported as rarely as the schedule checks a quiet plant.
         """
         before = self._recurring
-        if before is None or (before.place, before.newest) != (defect.place, sample - 1):
+        if before is None or (before.place, before.newest) != (
+            defect.place,
+            sample - 1,
+        ):
             self._recurring = _Recurring(defect.place, reported=sample, newest=sample)
             return True
         is_due = sample - before.reported >= self.settings.schedule.stride
-        self._recurring = _Recurring(defect.place, sample if is_due else before.reported, sample)
+        self._recurring = _Recurring(
+            defect.place, sample if is_due else before.reported, sample
+        )
         return is_due
 
-    def _no_verdict(self, sample: int, window: tuple[int, int], defect: Defect) -> Verdict:
+    def _no_verdict(
+        self, sample: int, window: tuple[int, int], defect: Defect
+    ) -> Verdict:
         """The verdict in place of one that could not be made."""
         horizons = self.settings.forecasts.horizons
         return no_verdict(
-            sample, window, defect, health=self._health, horizons=horizons, decimals=self.settings.decimals
+            sample,
+            window,
+            defect,
+            health=self._health,
+            horizons=horizons,
+            decimals=self.settings.decimals,
         )
 
     def _on_trigger(self, trigger: Trigger) -> list[Verdict]:
@@ -335,13 +369,19 @@ class Discriminator:
         if alarm is not None:
             reason = f"not matched: {alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
             return [self._judge(trigger, MatchResult(REFUSED, reason))]
-        if self._last_on_estimate is not None and trigger.window.first <= self._last_on_estimate:
+        if (
+            self._last_on_estimate is not None
+            and trigger.window.first <= self._last_on_estimate
+        ):
             reason = f"not matched: the law ran on an estimate until sample {self._last_on_estimate}"
             return [self._judge(trigger, MatchResult(REFUSED, reason))]
         if reason := self._trial_between(trigger.window.first, trigger.window.last):
-            return [self._judge(trigger, MatchResult(REFUSED, f"not matched: {reason}"))]
+            return [
+                self._judge(trigger, MatchResult(REFUSED, f"not matched: {reason}"))
+            ]
         self._request = self._new_request(trigger)
-        if not self._external:  # most of a match is compiled code, which releases the GIL
+        if not self._external:
+            # most of a match is compiled code, which releases the GIL
             with_match = ThreadPoolExecutor(1)
             self._fits = with_match.submit(self._fit, trigger)
             with_match.shutdown(wait=False)
@@ -356,7 +396,8 @@ class Discriminator:
         incumbent = candidate.parameters if candidate else None
         start = incumbent or self.settings.start
         if self._pool.estranged and start.model.structure_name in self.settings.prior:
-            start = self._uninformed.start  # in the structure of the memory, its values would be the prior
+            # in the structure of the memory, its values would be the prior
+            start = self._uninformed.start
         return MatchRequest(
             sample=trigger.sample,
             operating_point=trigger.operating_point,
@@ -378,12 +419,21 @@ class Discriminator:
         if sample.usable:
             self.forecaster.push(sample, taken)
         if news is not None:
-            reason = news.withdrawn or f"{news.fault.value} is over: the plant responds normally again"
+            reason = (
+                news.withdrawn
+                or f"{news.fault.value} is over: the plant responds normally again"
+            )
             match = MatchResult(reason=news.reason if has_begun else reason)
-            window = Window.from_samples(list(self._recent) or [sample], self.settings.period)
+            window = Window.from_samples(
+                list(self._recent) or [sample], self.settings.period
+            )
             with one_thread():
                 self._pool.score_leader()
-                verdicts.append(self._verdict_of(self._known(sample.index, window, match, dismissed=gone)))
+                verdicts.append(
+                    self._verdict_of(
+                        self._known(sample.index, window, match, dismissed=gone)
+                    )
+                )
         self.forecaster.notes = self._notes()
         return verdicts
 
@@ -409,7 +459,8 @@ class Discriminator:
         """Judge the plant's health at a sample; its `news` is an alarm that has just begun or ended."""
         if self._recent and not sample.follows(self._recent[-1]):
             is_other_session = not sample.continues(self._recent[-1])
-            if is_other_session:  # to which the indices of alarms and trials do not belong
+            if is_other_session:
+                # to which the indices of alarms and trials do not belong
                 self.monitor = _monitor(self.settings)
                 self._last_on_estimate = None
                 self._trials = {}
@@ -418,24 +469,36 @@ class Discriminator:
         if sample.usable:
             self._recent.append(sample)
         nominal = self.nominal
-        if nominal is not None and self.monitor.fault_between(*nominal.samples, slow=True) is not None:
+        if (
+            nominal is not None
+            and self.monitor.fault_between(*nominal.samples, slow=True) is not None
+        ):
             nominal = None  # it describes a plant at fault
         self._withdraw_recurring_steps()
         health = self.monitor.push(sample, nominal.parameters if nominal else None)
         if health.state is HealthState.FAULT:
             self._fault_before = None
-        self._health = health if self._fault_before is None else replace(self._fault_before, news=health.news)
+        self._health = (
+            health
+            if self._fault_before is None
+            else replace(self._fault_before, news=health.news)
+        )
         self._watched = sample.index
 
     def _withdraw_recurring_steps(self) -> None:
         """Take back a fault of impossible readings once the door takes such steps for the plant's."""
-        if self._door.steps_recur and not self._steps_recurred and isinstance(self.monitor, Monitor):
+        if (
+            self._door.steps_recur
+            and not self._steps_recurred
+            and isinstance(self.monitor, Monitor)
+        ):
             self._steps_recurred = True
             self.monitor.withdraw()
 
     def _remove_spoilt(self, alarm: Alarm) -> tuple[str, ...]:
         """Remove the candidates that were matched while the fault was already on; return their names."""
-        if alarm.fault in SLOW:  # the plant has changed since then, but still obeys its drive
+        if alarm.fault in SLOW:
+            # the plant has changed since then, but still obeys its drive
             self._pool.structures.cut(alarm.first)
         if not alarm.spoils:
             return ()
@@ -469,10 +532,14 @@ class Discriminator:
                     pool.score(window)
                 except TwinmatchError as error:
                     scored = False
-                    match = MatchResult(match.word, f"nothing could be identified: {error}")
+                    match = MatchResult(
+                        match.word, f"nothing could be identified: {error}"
+                    )
             if not scored:
                 pool.score_leader()
-            knowledge = self._known(trigger.sample, window, match, scored=scored, dismissed=dismissed)
+            knowledge = self._known(
+                trigger.sample, window, match, scored=scored, dismissed=dismissed
+            )
             verdict = self._verdict_of(knowledge)
             self._door.learn(verdict)
             return verdict
@@ -508,7 +575,9 @@ class Discriminator:
             residuals=self._residuals(window),
             health=self._health,
             monitor=self.monitor,
-            trial=self._forecasts_of_trial(self._compared(window)) if self._recent else "",
+            trial=self._forecasts_of_trial(self._compared(window))
+            if self._recent
+            else "",
             trusted=self._trusted,
             decimals=self.settings.decimals,
         )
@@ -537,20 +606,35 @@ class Discriminator:
             return Residuals(float("nan"), float("nan"))
         alarms = [alarm for alarm in self.monitor.alarms if alarm.alters]
         end_of_fault = alarms[-1].last if alarms else None
-        after_fault = 0 if end_of_fault is None else end_of_fault + 1  # before, residuals are not the twin's
-        first = max(window.first, window.last - self.settings.schedule.stride + 1, after_fault)
+        # before, residuals are not the twin's
+        after_fault = 0 if end_of_fault is None else end_of_fault + 1
+        first = max(
+            window.first, window.last - self.settings.schedule.stride + 1, after_fault
+        )
         newest = window.part(min(first, window.last), window.last)
         return residuals(nominal.parameters, newest, self.settings.law)
 
     def _notes(self) -> tuple[str, ...]:
         """Reservations on forecasts at this sample, and structures that no longer take part."""
-        lost = tuple(f"{model.structure_name}: {model.lost}" for model in self._external if model.lost)
+        lost = tuple(
+            f"{model.structure_name}: {model.lost}"
+            for model in self._external
+            if model.lost
+        )
         health = self._health
         since = self._bands.since
-        if self._settled is not None and (trial := self._trial_between(self._settled, self._settled)):
+        if self._settled is not None and (
+            trial := self._trial_between(self._settled, self._settled)
+        ):
             return (f"{trial}: this forecast is for the law before", *lost)
-        if health is not None and health.state is HealthState.FAULT and health.fault is not None:
-            fault = f"the plant has shown {health.fault.value} since sample {health.since}"
+        if (
+            health is not None
+            and health.state is HealthState.FAULT
+            and health.fault is not None
+        ):
+            fault = (
+                f"the plant has shown {health.fault.value} since sample {health.since}"
+            )
             return (f"{fault}: this forecast is for a healthy plant", *lost)
         if since is not None:
             outside = f"readings have been outside the bands since sample {since}"
@@ -559,7 +643,9 @@ class Discriminator:
 
     def _spoilt(self, first: int, last: int) -> bool:
         """Whether the plant was known to be at fault, or another law drove it, between two samples."""
-        return self.monitor.fault_between(first, last) is not None or bool(self._trial_between(first, last))
+        return self.monitor.fault_between(first, last) is not None or bool(
+            self._trial_between(first, last)
+        )
 
     def _admit(self, trigger: Trigger, report: MatchReport) -> MatchResult:
         """Make an accepted match a candidate, which is named after its operating point."""
@@ -569,7 +655,9 @@ class Discriminator:
             return MatchResult(REFUSED, f"match refused: {match.reason}")
         name = name_at(report.operating_point, self.settings.plant)
         free, covariance = match.of_parameters()
-        candidate = Candidate(name, report.operating_point, match.parameters, window, free, covariance)
+        candidate = Candidate(
+            name, report.operating_point, match.parameters, window, free, covariance
+        )
         with one_thread():
             return self._admitted(candidate, window)
 
@@ -578,7 +666,9 @@ class Discriminator:
         try:
             return MatchResult(ADMITTED, self._pool.admit(candidate, window))
         except TwinmatchError as error:
-            return MatchResult(REFUSED, f"no models identified for candidate {candidate.name}: {error}")
+            return MatchResult(
+                REFUSED, f"no models identified for candidate {candidate.name}: {error}"
+            )
 
 
 class Outcome(NamedTuple):
@@ -627,7 +717,7 @@ def _monitor(settings: TwinSettings) -> Monitor | ChannelMonitor:
     health = replace(settings.health, period=settings.period)
     if settings.plant.single:
         return Monitor(health)
-    from twinmatch.health.channels import ChannelMonitor  # noqa: PLC0415 — nothing else needs its arithmetic
+    from twinmatch.health.channels import ChannelMonitor  # noqa: PLC0415
 
     return ChannelMonitor(health.followed, health.period)
 
@@ -637,7 +727,9 @@ def _schedule(settings: TwinSettings) -> Schedule:
 
     def not_determined_by(window: Window) -> str:
         with one_thread():
-            return not_determined(window, settings.start, settings.free, settings.noise, settings.law)
+            return not_determined(
+                window, settings.start, settings.free, settings.noise, settings.law
+            )
 
     least = settings.schedule.min_step * np.array(settings.units)
 

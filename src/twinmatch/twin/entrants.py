@@ -19,7 +19,9 @@ from twinmatch.dynamics import Foresight, Law
 from twinmatch.forecasting import Calibration, Ledger, StateFilter
 from twinmatch.forecasting.outlook import foresight_of
 
-_SKILLS: Final = tuple(f"{name}_skill{end}" for end in ("", "_high") for name in BASELINES)
+_SKILLS: Final = tuple(
+    f"{name}_skill{end}" for end in ("", "_high") for name in BASELINES
+)
 """Fields of `ForecastScore`."""
 
 
@@ -40,7 +42,11 @@ class Entrants(dict[str, Entrant]):
     @cached_property
     def external(self) -> tuple[str, ...]:
         """Names of those whose equations run elsewhere."""
-        return tuple(name for name, entrant in self.items() if entrant.candidate.parameters.model.is_external)
+        return tuple(
+            name
+            for name, entrant in self.items()
+            if entrant.candidate.parameters.model.is_external
+        )
 
     @cached_property
     def native(self) -> tuple[str, ...]:
@@ -51,7 +57,9 @@ class Entrants(dict[str, Entrant]):
         """The joint forecast of the native ones; built once, so law and sample time (s) must not change."""
         if self._foresight is None:
             filters = [self[name].state_filter for name in self.native]
-            self._foresight = foresight_of([(f.parameters, f.free) for f in filters], law, period)
+            self._foresight = foresight_of(
+                [(f.parameters, f.free) for f in filters], law, period
+            )
         return self._foresight
 
 
@@ -80,8 +88,16 @@ class Standings:
 
     def best_of(self, names: Collection[str]) -> str | None:
         """Of the named candidates, the one whose forecasts have saved the most; None if none is present."""
-        totals = {name: savings.total for name, savings in self._saved.items() if name in names}
-        return max(totals, key=lambda name: np.nan_to_num(totals[name], nan=-np.inf), default=None)
+        totals = {
+            name: savings.total
+            for name, savings in self._saved.items()
+            if name in names
+        }
+        return max(
+            totals,
+            key=lambda name: np.nan_to_num(totals[name], nan=-np.inf),
+            default=None,
+        )
 
     @cached_property
     def leader(self) -> str | None:
@@ -99,7 +115,9 @@ class Standings:
         if best is None:
             return ""
         if math.isnan(best.gain):
-            return f"{best.name} leads until a forecast can be compared with the samples"
+            return (
+                f"{best.name} leads until a forecast can be compared with the samples"
+            )
         saved = f"{best.name} forecasts best: it saves {max(best.gain, 0.0):.2f} characters per forecast"
         beside_others = f", and in {100 * confidence:.0f} % of cases no other was more than 3 % better"
         return saved + (beside_others if len(self._entrants) > 1 else "")
@@ -116,11 +134,13 @@ class Standings:
             return {}
         plant = self._entrants[self.leader].candidate.parameters.model.plant
         names = [*plant.outputs, *plant.drives][: self._ledger.noise.size]
-        return {name: self._score(self.leader, signal) for signal, name in enumerate(names)}
+        return {
+            name: self._score(self.leader, signal) for signal, name in enumerate(names)
+        }
 
     def _score(self, name: str, signal: int | None = None) -> ForecastScore:
         """The score of a candidate; its skills and bands in all signals or in one."""
-        assert self._ledger is not None  # noqa: S101 — without a ledger there are no names to score
+        assert self._ledger is not None  # noqa: S101
         candidate = self._entrants[name].candidate
         calibration = self._entrants[name].calibration
         savings = self._saved[name]
@@ -128,7 +148,9 @@ class Standings:
         coverage = []
         independent = []
         for horizon in self._horizons:
-            before = max((shorter for shorter in self._horizons if shorter < horizon), default=0)
+            before = max(
+                (shorter for shorter in self._horizons if shorter < horizon), default=0
+            )
             share_inside, effective = calibration.coverage(before, horizon, signal)
             coverage.append(share_inside)
             independent.append(effective)
@@ -152,6 +174,8 @@ class Standings:
         if self._ledger is None:
             return {}
         gains = self._ledger.gains(tuple(self._entrants))
-        totals = np.where(np.isfinite(gains).any(axis=1), np.nansum(gains, axis=1), np.nan)
+        totals = np.where(
+            np.isfinite(gains).any(axis=1), np.nansum(gains, axis=1), np.nan
+        )
         saved = map(_Savings, totals.tolist(), gains.tolist())
         return dict(zip(self._entrants, saved, strict=True))

@@ -75,7 +75,9 @@ class Wish:
 
     def __post_init__(self) -> None:
         if self.goal is not None and self.goal not in GOALS:
-            raise ExperimentError(f"goal: {self.goal[:80]!r} is not known; give one of {', '.join(GOALS)}")
+            raise ExperimentError(
+                f"goal: {self.goal[:80]!r} is not known; give one of {', '.join(GOALS)}"
+            )
         if self.minutes is not None and not 0.0 < self.minutes <= MAX_MINUTES:
             raise ExperimentError(
                 f"minutes is {self.minutes:g}; give a time of up to {MAX_MINUTES:g} minutes"
@@ -88,4 +90,6 @@ class Wish:
             )
         low, high = self.within
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise ExperimentError(f"within is {low:g} to {high:g}; give finite values, the lower one first")
+            raise ExperimentError(
+                f"within is {low:g} to {high:g}; give finite values, the lower one first"
+            )

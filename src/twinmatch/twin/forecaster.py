@@ -54,7 +54,9 @@ class Snapshot(NamedTuple):
         Raises:
             ForecastError: there is no candidate yet, or none of that name.
         """
-        return self.outlooks[_check_name(self.leader if name is None else name, self.outlooks)]
+        return self.outlooks[
+            _check_name(self.leader if name is None else name, self.outlooks)
+        ]
 
 
 class _Conditions(NamedTuple):
@@ -132,7 +134,9 @@ class Forecaster:
         self._leader_confidence = LeaderConfidence(self._kept)
         self._departures: dict[int, _Departure] = {}
         self._run_in = tuple(round(stretch * scale / period) for stretch in _RUN_IN)
-        self._recent: deque[Sample] = deque(maxlen=max(self._longest + self._stride, *self._run_in) + 1)
+        self._recent: deque[Sample] = deque(
+            maxlen=max(self._longest + self._stride, *self._run_in) + 1
+        )
         self._waiting: list[tuple[Sample, Signals]] = []
         """Samples, each with what the law was given as its outputs."""
         self._controller = np.zeros(0)
@@ -216,8 +220,12 @@ class Forecaster:
         if self._law is not None:
             references, _, inputs, _ = self._columns
             for row, outputs in zip(new_rows, outputs_taken, strict=True):
-                self._controller = self._law.follow(self._controller, row[references], outputs, row[inputs])
-        self._followers.push([self._twins[name].state_filter for name in self._twins.native], samples)
+                self._controller = self._law.follow(
+                    self._controller, row[references], outputs, row[inputs]
+                )
+        self._followers.push(
+            [self._twins[name].state_filter for name in self._twins.native], samples
+        )
 
     @property
     def _columns(self) -> tuple[slice, ...]:
@@ -228,7 +236,9 @@ class Forecaster:
         """What forecasts from the newest sample need."""
         self._catch_up()
         leader = self.leader or self.names[0]
-        outlooks = {name: self._outlook(name) for name in {*self._twins.external, leader}}
+        outlooks = {
+            name: self._outlook(name) for name in {*self._twins.external, leader}
+        }
         names = self._twins.native
         foresight = None
         loop_state = None
@@ -237,13 +247,21 @@ class Forecaster:
             foresight = self._twins.foresight(self._law, self.period)
             states = [f.states for f in filters]
             covariances = [f.joint for f in filters]
-            loop_state = foresight.at(states, covariances, self._recent[-1].inputs, self._controller)
+            loop_state = foresight.at(
+                states, covariances, self._recent[-1].inputs, self._controller
+            )
         forecast_number = self._recent[-1].index // self._stride
         learning = self._twins if forecast_number % _OTHERS_EVERY == 0 else (leader,)
         widths = {name: self._twins[name].calibration.widths for name in learning}
-        return _Departure(leader, outlooks, names, foresight, loop_state, self.arx, widths)
+        return _Departure(
+            leader, outlooks, names, foresight, loop_state, self.arx, widths
+        )
 
-    def enter(self, candidates: Sequence[Candidate], successors: Mapping[str, str] | None = None) -> None:
+    def enter(
+        self,
+        candidates: Sequence[Candidate],
+        successors: Mapping[str, str] | None = None,
+    ) -> None:
         """Set the candidates; those already present with the same parameters continue.
 
         Args:
@@ -336,10 +354,16 @@ class Forecaster:
         if not self._recent or self.leader is None:
             return None
         newest = self._recent[-1].index
-        old_enough = [sample for sample in self._departures if sample <= newest - samples]
+        old_enough = [
+            sample for sample in self._departures if sample <= newest - samples
+        ]
         is_beginning = len(self._recent) <= samples
         if not old_enough and is_beginning:
-            old_enough = [sample for sample in self._departures if sample <= newest - (samples - 1) // 2]
+            old_enough = [
+                sample
+                for sample in self._departures
+                if sample <= newest - (samples - 1) // 2
+            ]
             samples = newest - max(old_enough, default=newest)
         if not old_enough:
             return None
@@ -370,12 +394,20 @@ class Forecaster:
         except PlantError:
             if not self._twins[name].candidate.parameters.model.is_external:
                 raise
-            self._set({twin_name: twin for twin_name, twin in self._twins.items() if twin_name != name})
+            self._set(
+                {
+                    twin_name: twin
+                    for twin_name, twin in self._twins.items()
+                    if twin_name != name
+                }
+            )
 
     def _conditions(self, rows_since: FloatArray) -> _Conditions:
         """What forecasts are made for, from the rows of the sample they depart from and of those after it."""
         references, _, inputs, disturbances = self._columns
-        ahead = np.ascontiguousarray(rows_since[1:, inputs if self._law is None else references])
+        ahead = np.ascontiguousarray(
+            rows_since[1:, inputs if self._law is None else references]
+        )
         disturbance_rows = np.ascontiguousarray(rows_since[:, disturbances])
         return _Conditions(ahead, disturbance_rows if disturbance_rows.size else None)
 
@@ -401,7 +433,12 @@ class Forecaster:
             plant = candidate.parameters.model.plant
             signals = forecast_noise(plant, self._law).size
             calibration = Calibration(
-                self._leads, self._kept, newest, signals, self._stride, outputs=len(plant.outputs)
+                self._leads,
+                self._kept,
+                newest,
+                signals,
+                self._stride,
+                outputs=len(plant.outputs),
             )
         for stretch in self._run_in:
             recent = list(self._recent)[-stretch:]
@@ -426,7 +463,9 @@ class Forecaster:
             return
         self._catch_up()
         rows_since = self._rows[-ahead - 1 :]
-        previous_horizon = max((horizon for horizon in self.horizons if horizon < ahead), default=0)
+        previous_horizon = max(
+            (horizon for horizon in self.horizons if horizon < ahead), default=0
+        )
         is_received = rows_since[1:, -1] > 0.0
         if not is_received[previous_horizon:].any():
             return
@@ -440,10 +479,14 @@ class Forecaster:
         for error, (name, forecast) in zip(errors, forecasts.items(), strict=True):
             if name in banded:
                 twin = self._twins[name]
-                widths = deviations(twin.candidate.parameters.model, forecast.variances)[:signals]
+                widths = deviations(
+                    twin.candidate.parameters.model, forecast.variances
+                )[:signals]
                 quotients = np.abs(error) / widths
                 quotients[:, ~is_received] = np.nan
-                twin.calibration.learn(quotients, previous_horizon, departure.widths[name])
+                twin.calibration.learn(
+                    quotients, previous_horizon, departure.widths[name]
+                )
         received = np.flatnonzero(is_received)
         new = received[received >= previous_horizon]
         baselines = measured - departure.arx.referees(*conditions)[:, :signals]
@@ -467,14 +510,18 @@ class Forecaster:
         forecasts: dict[str, _Forecast] = {}
         if departure.foresight is not None and departure.now is not None:
             wanted = [self._wanted_of(name, banded) for name in departure.names]
-            means, variances = departure.foresight.each(departure.now, wanted, *conditions)
+            means, variances = departure.foresight.each(
+                departure.now, wanted, *conditions
+            )
             for k, name in enumerate(departure.names):
                 if wanted[k] is not Wanted.NOTHING:
                     forecasts[name] = _Forecast(means[k], variances[k])
         for name in self._twins.external:
             if name in departure.outlooks:
                 with self._removing_lost(name):
-                    predicted = departure.outlooks[name].predicted(*conditions, banded=name in banded)
+                    predicted = departure.outlooks[name].predicted(
+                        *conditions, banded=name in banded
+                    )
                     forecasts[name] = _Forecast(predicted.means, predicted.variances)
         return forecasts
 
@@ -495,7 +542,13 @@ def forecast_noise(plant: type[Plant], law: Law | None) -> FloatArray:
 
 def _row_of(sample: Sample) -> tuple[float, ...]:
     """Set-points, outputs, inputs, disturbances of a sample, and whether it was received."""
-    return (*sample.references, *sample.outputs, *sample.inputs, *sample.disturbances, sample.seen)
+    return (
+        *sample.references,
+        *sample.outputs,
+        *sample.inputs,
+        *sample.disturbances,
+        sample.seen,
+    )
 
 
 def _check_name(name: str | None, candidates: Mapping[str, object]) -> str:
@@ -509,5 +562,7 @@ def _check_name(name: str | None, candidates: Mapping[str, object]) -> str:
         raise ForecastError(msg)
     if name not in candidates:
         names = ", ".join(candidates)
-        raise ForecastError(f"forecast: no candidate {name!r}; at this sample there are: {names}")
+        raise ForecastError(
+            f"forecast: no candidate {name!r}; at this sample there are: {names}"
+        )
     return name

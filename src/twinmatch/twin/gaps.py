@@ -68,7 +68,9 @@ class GapFiller:
         ]
 
 
-def _fill_by_law(law: Law, past: Sequence[Sample], lost: list[Sample], after: Sample) -> list[Sample]:
+def _fill_by_law(
+    law: Law, past: Sequence[Sample], lost: list[Sample], after: Sample
+) -> list[Sample]:
     """The stand-ins with the set-points and inputs of the loop: of the courses that they may have had, that
     under which the law comes nearest to the commands after them."""
     if after.shape[:3] != (law.n_references, law.n_outputs, law.n_inputs):
@@ -90,7 +92,10 @@ def _fill_by_law(law: Law, past: Sequence[Sample], lost: list[Sample], after: Sa
 
 
 def _with_course(
-    lost: Sequence[Sample], references: FloatArray, outputs: FloatArray, inputs: FloatArray
+    lost: Sequence[Sample],
+    references: FloatArray,
+    outputs: FloatArray,
+    inputs: FloatArray,
 ) -> list[Sample]:
     """The lost samples with these set-points, outputs and inputs.
 
@@ -109,7 +114,9 @@ def _with_course(
     return samples
 
 
-def _courses(before: Sample, behind: Sequence[Sample]) -> Iterator[tuple[FloatArray, FloatArray]]:
+def _courses(
+    before: Sample, behind: Sequence[Sample]
+) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Courses that the N samples `behind` one may have had: set-points, shape (N, r), and outputs, (N, p).
 
     First the set-point moves in a ramp, then it steps at each of the samples in turn. An output moves only

@@ -29,7 +29,9 @@ from twinmatch.twin.trust import BandCheck, BandHistory
 _ADAPTABLE: Final = SLOW | {Fault.DISTURBANCE}
 """Faults of a plant that still obeys its drive: its next matches adapt the twin."""
 _LEFT: Final = "measurements have just left the forecast bands, perhaps by chance"
-_AS_BEFORE: Final = "its forecasts have held so far, and were trusted in earlier sessions"
+_AS_BEFORE: Final = (
+    "its forecasts have held so far, and were trusted in earlier sessions"
+)
 
 
 class MatchResult(NamedTuple):
@@ -90,7 +92,11 @@ class Knowledge:
     @property
     def fault(self) -> Fault | None:
         """The fault of the plant, if there is one."""
-        return self.health.fault if self.health and self.health.state is HealthState.FAULT else None
+        return (
+            self.health.fault
+            if self.health and self.health.state is HealthState.FAULT
+            else None
+        )
 
     @property
     def horizons(self) -> tuple[float, ...]:
@@ -114,14 +120,19 @@ class Knowledge:
             return doubts
         for name, output in plant.outputs.items():
             doubts_of_output = self.alone[name].doubts(self.horizons, self.trusted)
-            named = {horizon: doubt.of(output.text or name) for horizon, doubt in doubts_of_output.items()}
+            named = {
+                horizon: doubt.of(output.text or name)
+                for horizon, doubt in doubts_of_output.items()
+            }
             doubts = named | doubts  # at a horizon with a doubt already, that one stays
         return doubts
 
 
 def trust_of(known: Knowledge) -> Trust:
     """How far to trust the leader: the first reason against it that applies."""
-    fault_in_words = f"the plant shows {known.fault.value}" if known.fault is not None else ""
+    fault_in_words = (
+        f"the plant shows {known.fault.value}" if known.fault is not None else ""
+    )
     if known.fault is not None and known.fault not in _ADAPTABLE:
         return Trust(TrustLevel.FAULT, fault_in_words)
     if doubt := known.monitor.doubt:
@@ -145,7 +156,9 @@ def _tested(doubts: Mapping[float, Shortfall], known: Knowledge) -> Trust:
         return Trust(TrustLevel.TRUSTED, f"{trusted_in_words}, but {doubts_in_words}")
     if passes_somewhere:
         return Trust(TrustLevel.TRUSTED, trusted_in_words)
-    if doubts_in_words and all(doubt.certain for doubt in doubts.values() if doubt != FEW):
+    if doubts_in_words and all(
+        doubt.certain for doubt in doubts.values() if doubt != FEW
+    ):
         return Trust(TrustLevel.DOUBTFUL, doubts_in_words)
     is_remembered = known.pool.rests_on_memory(known.pool.forecaster.leader)
     if is_remembered and FEW in doubts.values():
@@ -200,7 +213,9 @@ def verdict_of(known: Knowledge) -> Verdict:
         held_high=held_high,
         horizons=known.horizons,
         forecasts=forecaster.scores,
-        trusted=tuple(horizon for horizon in known.horizons if horizon not in known.doubts),
+        trusted=tuple(
+            horizon for horizon in known.horizons if horizon not in known.doubts
+        ),
         signals=_signals(known),
     )
 
@@ -216,16 +231,24 @@ class NamedFault(TypedDict):
 def _named_fault(health: Health | None) -> NamedFault:
     if health is None or health.state is not HealthState.FAULT or health.fault is None:
         return NamedFault(fault="", fault_signal="", fault_since=None)
-    return NamedFault(fault=health.fault.value, fault_signal=health.signal, fault_since=health.since)
+    return NamedFault(
+        fault=health.fault.value, fault_signal=health.signal, fault_since=health.since
+    )
 
 
-def _parameters_in(structure: str, scores: Sequence[ForecastScore]) -> Parameters | None:
+def _parameters_in(
+    structure: str, scores: Sequence[ForecastScore]
+) -> Parameters | None:
     """Parameters of the twin in a structure whose forecasts have saved the most; None without one.
 
     Those that were fitted to compare the structures are not a twin's: no forecast has tested them.
     """
-    in_structure = [score for score in scores if score.parameters.model.structure_name == structure]
-    gains = [-math.inf if math.isnan(score.gain) else score.gain for score in in_structure]
+    in_structure = [
+        score for score in scores if score.parameters.model.structure_name == structure
+    ]
+    gains = [
+        -math.inf if math.isnan(score.gain) else score.gain for score in in_structure
+    ]
     return in_structure[gains.index(max(gains))].parameters if in_structure else None
 
 

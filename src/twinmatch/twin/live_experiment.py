@@ -51,7 +51,11 @@ class LiveExperiment:
         self._samples: list[Sample] = []
         self._samples_planned_on = 0
         """How many samples there were when the newest course was found."""
-        size = None if wish.minutes is None else round(60.0 * wish.minutes / settings.period)
+        size = (
+            None
+            if wish.minutes is None
+            else round(60.0 * wish.minutes / settings.period)
+        )
         self._first_plan = self._newest_plan = self._planned(snapshot, size)
         self._expected = self._first_plan.course.characters
         self.report = self._reported(newest.index, ExperimentPhase.PROPOSED, 0.0)
@@ -67,13 +71,21 @@ class LiveExperiment:
         self.report = self._reported(self.report.sample, ExperimentPhase.RUNNING, 0.0)
         return self.report
 
-    def ended(self, reason: str, phase: ExperimentPhase = ExperimentPhase.ENDED) -> ExperimentReport:
+    def ended(
+        self, reason: str, phase: ExperimentPhase = ExperimentPhase.ENDED
+    ) -> ExperimentReport:
         """The report of its end: the set-point returns to where it was."""
         last = self._samples[-1].index if self._samples else self.report.sample
         brought = self.brought
         sentence = f"{reason}; it brought {brought:.3g} characters, {self._expected:.3g} were expected"
         self.report = ExperimentReport(
-            last, phase, self.goal.name, self._first, self._expected, brought, reason=sentence
+            last,
+            phase,
+            self.goal.name,
+            self._first,
+            self._expected,
+            brought,
+            reason=sentence,
         )
         return self.report
 
@@ -91,13 +103,17 @@ class LiveExperiment:
         """What to do after a verdict: another course for the rest of its time, or the end."""
         best, brought = self._lead
         if brought >= self._enough:
-            return self.ended(best or "as much is known as was expected", ExperimentPhase.DECIDED)
+            return self.ended(
+                best or "as much is known as was expected", ExperimentPhase.DECIDED
+            )
         if reason := self._replanned_unless_over(verdict, snapshot, brought):
             return self.ended(reason)
         self.report = self._reported(verdict.sample, ExperimentPhase.RUNNING, brought)
         return self.report
 
-    def _replanned_unless_over(self, verdict: Verdict, snapshot: Snapshot, brought: float) -> str:
+    def _replanned_unless_over(
+        self, verdict: Verdict, snapshot: Snapshot, brought: float
+    ) -> str:
         """Why it ends undecided; otherwise empty, and the best course for the rest is taken."""
         remaining = len(self._rest)
         indices = [s.index for s in self._samples]
@@ -107,7 +123,8 @@ class LiveExperiment:
             return "stopped: samples are missing"
         if not remaining:
             return "its time is over"
-        begins_at_rest = self.goal.name == "fault"  # as its contenders do, so that it is planned only once
+        # as its contenders do, so that it is planned only once
+        begins_at_rest = self.goal.name == "fault"
         if remaining < MIN_COURSE or begins_at_rest:
             return ""
         try:
@@ -117,17 +134,27 @@ class LiveExperiment:
         self._newest_plan = plan
         self._samples_planned_on = len(self._samples)
         self._expected = brought + plan.course.characters
-        return "" if plan.course.characters >= LEAST else "its rest would tell nothing more"
+        return (
+            ""
+            if plan.course.characters >= LEAST
+            else "its rest would tell nothing more"
+        )
 
     @property
     def _rest(self) -> FloatArray:
         """Set-points still to come, shape (N, r)."""
-        return self._newest_plan.course.rows[len(self._samples) - self._samples_planned_on :]
+        return self._newest_plan.course.rows[
+            len(self._samples) - self._samples_planned_on :
+        ]
 
     @property
     def _enough(self) -> float:
         """Characters with which it is decided."""
-        return LEAD / math.log(2.0) if self.goal.pairs else NEARLY * self._first_plan.course.characters
+        return (
+            LEAD / math.log(2.0)
+            if self.goal.pairs
+            else NEARLY * self._first_plan.course.characters
+        )
 
     @property
     def _lead(self) -> tuple[str, float]:
@@ -165,7 +192,9 @@ class LiveExperiment:
             goal = goal_named(self._wish.goal, members, terms)
             return next_experiment(members, goal, terms, running=rest)
 
-    def _reported(self, sample: int, phase: ExperimentPhase, brought: float) -> ExperimentReport:
+    def _reported(
+        self, sample: int, phase: ExperimentPhase, brought: float
+    ) -> ExperimentReport:
         levels: list[float] = []
         holds = []
         for level, run in groupby(map(tuple, self._rest.tolist())):
@@ -189,5 +218,7 @@ class LiveExperiment:
 
 def _beside(found: NextExperiment) -> str:
     """What a course brings, and what others of its length would, in words."""
-    in_words = ", ".join(f"{course.name} {course.characters:.3g}" for course in found.others)
+    in_words = ", ".join(
+        f"{course.name} {course.characters:.3g}" for course in found.others
+    )
     return f"{found.course.characters:.3g} characters; in the same time {in_words}"

@@ -39,7 +39,9 @@ def one_thread() -> Iterator[None]:
     """
     with _lock:
         _limits_in_use.append(
-            _limits_in_use[0] if _limits_in_use else _blas().limit(limits=1, user_api="blas")
+            _limits_in_use[0]
+            if _limits_in_use
+            else _blas().limit(limits=1, user_api="blas")
         )
     try:
         yield
@@ -76,7 +78,11 @@ class MatchReport(NamedTuple):
     def answers(self, request: MatchRequest) -> bool:
         """Whether this is the match for that request."""
         window = request.window
-        return (self.sample, *self.match.samples) == (request.sample, window.first, window.last)
+        return (self.sample, *self.match.samples) == (
+            request.sample,
+            window.first,
+            window.last,
+        )
 
 
 def carry_out(request: MatchRequest, settings: TwinSettings) -> MatchReport:
@@ -93,7 +99,9 @@ def carry_out(request: MatchRequest, settings: TwinSettings) -> MatchReport:
     try:
         with one_thread():
             match = _matched(request, settings, start, free)
-            may_change_structure = request.incumbent is None and settings.free == first.structure.free
+            may_change_structure = (
+                request.incumbent is None and settings.free == first.structure.free
+            )
             most_left = LEFT if settings.law is None else GateLimits().chi2
             if may_change_structure and match.chi2 > most_left:
                 match = _in_another_structure(request, settings, match)
@@ -108,11 +116,16 @@ def _not_made(request: MatchRequest, free: tuple[str, ...], defect: Defect) -> M
     """The answer to a request whose match a defect has prevented: without one, no verdict would follow."""
     log_once("a window could not be matched", defect, _logged)
     reason = f"the window could not be matched, because of a defect in {defect}"
-    return without_fit(request.window, free, request.start, Status.DID_NOT_CONVERGE, reason)
+    return without_fit(
+        request.window, free, request.start, Status.DID_NOT_CONVERGE, reason
+    )
 
 
 def _matched(
-    request: MatchRequest, settings: TwinSettings, start: Parameters, free: tuple[str, ...]
+    request: MatchRequest,
+    settings: TwinSettings,
+    start: Parameters,
+    free: tuple[str, ...],
 ) -> Match:
     """The match in the structure of its start."""
     try:
@@ -132,29 +145,50 @@ def _matched(
         return without_fit(request.window, free, start, status, reason)
 
 
-def _in_another_structure(request: MatchRequest, settings: TwinSettings, first: Match) -> Match:
+def _in_another_structure(
+    request: MatchRequest, settings: TwinSettings, first: Match
+) -> Match:
     """The match in the most justified structure in which it is accepted; without one, the first match."""
     models = (settings.plant.model(name) for name in settings.plant.structures)
-    typical_starts = [m.typical() for m in models if not m.is_external and m is not request.start.model]
+    typical_starts = [
+        m.typical()
+        for m in models
+        if not m.is_external and m is not request.start.model
+    ]
     present = request.start.model.structure_name
-    for start in explaining(request.window, [request.start, *typical_starts], settings.noise, settings.law):
+    for start in explaining(
+        request.window, [request.start, *typical_starts], settings.noise, settings.law
+    ):
         if start is request.start:
             break
         match = _matched(request, settings, start, start.model.structure.free)
         if match.accepted:
-            return replace(match, reason=f"{match.reason}; in the structure {present!r}: {first.reason}")
+            return replace(
+                match,
+                reason=f"{match.reason}; in the structure {present!r}: {first.reason}",
+            )
     if settings.law is None:
         lack = _lacking(request, settings, first)
-        return first if lack is None else replace(first, reason=f"{first.reason}; {lack}")
+        return (
+            first if lack is None else replace(first, reason=f"{first.reason}; {lack}")
+        )
     return first
 
 
-def _lacking(request: MatchRequest, settings: TwinSettings, first: Match) -> Lack | None:
+def _lacking(
+    request: MatchRequest, settings: TwinSettings, first: Match
+) -> Lack | None:
     """The effect that explains most of what the first match leaves."""
 
     def fit(start: Parameters) -> tuple[Parameters, float] | None:
         best = usable_fit(request.window, start, settings.noise, settings.law)
-        return None if best is None else (best.problem.experiment.parameters_at(best.values), best.chi2)
+        return (
+            None
+            if best is None
+            else (best.problem.experiment.parameters_at(best.values), best.chi2)
+        )
 
     independent = len(request.window) / LASTING
-    return lack_of(first.parameters, request.window.period, first.chi2, independent, fit)
+    return lack_of(
+        first.parameters, request.window.period, first.chi2, independent, fit
+    )

@@ -30,7 +30,15 @@ from twinmatch.dynamics import (
 )
 from twinmatch.fitting.problem import unknown_starts
 from twinmatch.forecasting import StateFilter
-from twinmatch.signals import FloatArray, OperatingPoint, Sample, Signals, Window, point_of, rms
+from twinmatch.signals import (
+    FloatArray,
+    OperatingPoint,
+    Sample,
+    Signals,
+    Window,
+    point_of,
+    rms,
+)
 
 _ESTIMATED_OVER: Final = 300.0
 """Newest stretch over which the states of a new structure are estimated, s, at a scale of 1."""
@@ -100,7 +108,9 @@ class Mirror:
         self._law = law_for(parameters.model.plant, period, law)
         self._period = period if self._law is None else self._law.period
         self._recent: deque[list[float]] = deque(maxlen=recent)
-        self._samples: deque[Sample] = deque(maxlen=max(round(_ESTIMATED_OVER * scale / self._period), 1))
+        self._samples: deque[Sample] = deque(
+            maxlen=max(round(_ESTIMATED_OVER * scale / self._period), 1)
+        )
         self._previous: Sample | None = None
         self._samples_followed = 0
 
@@ -116,7 +126,9 @@ class Mirror:
             self._driven = self._transfer_states(self._driven, new, estimated)
             absent = np.full(estimated.size, np.nan)
             self._closed = (
-                absent if self._pid is None else self._transfer_states(self._closed, new, estimated)
+                absent
+                if self._pid is None
+                else self._transfer_states(self._closed, new, estimated)
             )
         self._parameters = new
 
@@ -130,18 +142,24 @@ class Mirror:
             if self._pid is None
             else self._advance_both(sample, self._pid, disturbances)
         )
-        self._driven = advance(self._parameters, self._driven, sample.inputs, self._period, disturbances)
+        self._driven = advance(
+            self._parameters, self._driven, sample.inputs, self._period, disturbances
+        )
         self._previous = sample
         self._samples.append(sample)
         return state
 
-    def _drive_twin(self, sample: Sample, disturbances: FloatArray | None) -> MirrorState:
+    def _drive_twin(
+        self, sample: Sample, disturbances: FloatArray | None
+    ) -> MirrorState:
         """The state of the driven twin, without that of the other."""
         closed = np.full(len(sample.outputs), np.nan)
         commands = np.full(len(sample.inputs), np.nan)
         return self._observe(sample, closed, commands, disturbances)
 
-    def _advance_both(self, sample: Sample, pid: Controller, disturbances: FloatArray | None) -> MirrorState:
+    def _advance_both(
+        self, sample: Sample, pid: Controller, disturbances: FloatArray | None
+    ) -> MirrorState:
         """Both twins; advances the closed-loop one to the next tick."""
         closed = readings(self._parameters, self._closed, disturbances)
         if self._samples_followed < 2:
@@ -150,13 +168,26 @@ class Mirror:
             pid.follow(sample.references, sample.outputs, sample.inputs)
             self._samples_followed += 1
         else:
-            state = self._observe(sample, closed, pid.step(sample.references, closed), disturbances)
-        self._closed = advance(self._parameters, self._closed, state.closed_input, self._period, disturbances)
+            state = self._observe(
+                sample, closed, pid.step(sample.references, closed), disturbances
+            )
+        self._closed = advance(
+            self._parameters,
+            self._closed,
+            state.closed_input,
+            self._period,
+            disturbances,
+        )
         return state
 
     def _restart(self, sample: Sample) -> None:
         disturbances = _disturbances(sample)
-        start = begin(self._parameters, sample.outputs, input=sample.inputs, disturbances=disturbances)
+        start = begin(
+            self._parameters,
+            sample.outputs,
+            input=sample.inputs,
+            disturbances=disturbances,
+        )
         self._closed = start if self._law is not None else np.full(start.size, np.nan)
         self._driven = start
         self._pid = None if self._law is None else Controller(self._law)
@@ -164,7 +195,9 @@ class Mirror:
         self._samples.clear()
         self._samples_followed = 0
 
-    def _transfer_states(self, states: FloatArray, new: Parameters, estimated: FloatArray) -> FloatArray:
+    def _transfer_states(
+        self, states: FloatArray, new: Parameters, estimated: FloatArray
+    ) -> FloatArray:
         """States of another structure: those of the present one where it has them, the rest as estimated."""
         present = dict(zip(self._parameters.model.states, states.tolist(), strict=True))
         estimates = zip(new.model.states, estimated.tolist(), strict=True)
@@ -175,15 +208,25 @@ class Mirror:
         state_filter = StateFilter(new, self._period)
         state_filter.follow(self._samples)
         newest = self._samples[-1]
-        return advance(new, state_filter.states, newest.inputs, self._period, _disturbances(newest))
+        return advance(
+            new, state_filter.states, newest.inputs, self._period, _disturbances(newest)
+        )
 
     def _observe(
-        self, sample: Sample, closed: FloatArray, commands: FloatArray, disturbances: FloatArray | None
+        self,
+        sample: Sample,
+        closed: FloatArray,
+        commands: FloatArray,
+        disturbances: FloatArray | None,
     ) -> MirrorState:
         driven = readings(self._parameters, self._driven, disturbances, sample.inputs)
         y = np.array(sample.outputs)
         u = np.array(sample.inputs)
-        residual = [*(y - closed).tolist(), *(u - commands).tolist(), *(y - driven).tolist()]
+        residual = [
+            *(y - closed).tolist(),
+            *(u - commands).tolist(),
+            *(y - driven).tolist(),
+        ]
         if sample.seen or not self._recent:
             self._recent.append(residual)
         sizes = rms(np.array(self._recent), axis=0).tolist()
@@ -237,7 +280,9 @@ def residuals(parameters: Parameters, window: Window, law: Law | None) -> Residu
         period=window.period,
         disturbances=window.disturbances[SKIPPED:],
     )
-    of_outputs = _worst(window.received(window.outputs[SKIPPED:] - driven.outputs), plant.outputs)
+    of_outputs = _worst(
+        window.received(window.outputs[SKIPPED:] - driven.outputs), plant.outputs
+    )
     if law is None:
         return Residuals(of_outputs, float("nan"))
     closed = simulate_window(parameters, window, law=law)
@@ -248,7 +293,9 @@ def residuals(parameters: Parameters, window: Window, law: Law | None) -> Residu
 def _worst(left: FloatArray, signals: Mapping[str, Output | Drive]) -> float:
     """RMS of what is left of the signals, shape (N, signals); of several, of the worst in its noise."""
     sizes = rms(left.T)
-    return float(sizes[np.argmax(sizes / [signal.noise for signal in signals.values()])])
+    return float(
+        sizes[np.argmax(sizes / [signal.noise for signal in signals.values()])]
+    )
 
 
 class Fits(NamedTuple):
@@ -278,7 +325,9 @@ def window_fits(parameters: Parameters, window: Window, law: Law | None) -> Fits
     return Fits(outputs, inputs if law else (float("nan"),) * len(inputs))
 
 
-def _fits_of_each(window: Window, measured: FloatArray, simulated: FloatArray) -> Signals:
+def _fits_of_each(
+    window: Window, measured: FloatArray, simulated: FloatArray
+) -> Signals:
     """NRMSE of every signal over the samples of a window that were received."""
     fits = []
     for y, y_of_twin in zip(measured[SKIPPED:].T, simulated.T, strict=True):
@@ -286,7 +335,9 @@ def _fits_of_each(window: Window, measured: FloatArray, simulated: FloatArray) -
     return tuple(fits)
 
 
-def window_fit(parameters: Parameters, window: Window, law: Law | None) -> tuple[float, float]:
+def window_fit(
+    parameters: Parameters, window: Window, law: Law | None
+) -> tuple[float, float]:
     """Fit of output and input, of several the worst."""
     return window_fits(parameters, window, law).worst
 
@@ -327,4 +378,8 @@ def hidden_starts(parameters: Parameters, window: Window) -> dict[str, float]:
 def nrmse(measured: FloatArray, simulated: FloatArray) -> float:
     """1 − ‖measured − simulated‖ / ‖measured − mean‖; NaN for a measured signal that is constant."""
     spread = float(np.linalg.norm(measured - np.mean(measured)))
-    return 1.0 - float(np.linalg.norm(measured - simulated)) / spread if spread > 0 else float("nan")
+    return (
+        1.0 - float(np.linalg.norm(measured - simulated)) / spread
+        if spread > 0
+        else float("nan")
+    )

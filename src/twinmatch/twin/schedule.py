@@ -37,7 +37,14 @@ from twinmatch.dynamics.pace import plant_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting.excitation import unexpected_movement
 from twinmatch.settings import setting
-from twinmatch.signals import FloatArray, OperatingPoint, Sample, Signals, Window, point_of
+from twinmatch.signals import (
+    FloatArray,
+    OperatingPoint,
+    Sample,
+    Signals,
+    Window,
+    point_of,
+)
 
 _LEAVING: Final = 0.1
 """Share of a least movement from which the output counts as on its way."""
@@ -57,23 +64,39 @@ class ScheduleSettings:
     The defaults are for 100 samples in a time constant; `of` is for any plant.
     """
 
-    scale: float = setting(1.0, "Factor on the defaults of all times and horizons below.", "", 0.05, 100.0)
+    scale: float = setting(
+        1.0, "Factor on the defaults of all times and horizons below.", "", 0.05, 100.0
+    )
     """Those follow the plant's time constant; what is given itself is not multiplied."""
-    stride: int = setting(60, "Samples between two checks while nothing changes.", "samples", 4, 10000)
-    min_step: float = setting(2.0, "Smallest movement that starts a regime.", "{y}", 1e-6, 1e6)
+    stride: int = setting(
+        60, "Samples between two checks while nothing changes.", "samples", 4, 10000
+    )
+    min_step: float = setting(
+        2.0, "Smallest movement that starts a regime.", "{y}", 1e-6, 1e6
+    )
     """Where the loop is not known, of the output as the inputs are expected to move it. Of several outputs of
     the first; of the others in proportion to the noise."""
-    min_span: int = setting(60, "A shorter regime is merged with the next one.", "samples", 10, 10000)
-    span: int = setting(240, "A regime is judged this long after its step.", "samples", 20, 10000)
+    min_span: int = setting(
+        60, "A shorter regime is merged with the next one.", "samples", 10, 10000
+    )
+    span: int = setting(
+        240, "A regime is judged this long after its step.", "samples", 20, 10000
+    )
     """Or at its end, if that comes before."""
-    lead: int = setting(LEAD, "Samples kept before the previous regime's step.", "samples", 1, 1000)
+    lead: int = setting(
+        LEAD, "Samples kept before the previous regime's step.", "samples", 1, 1000
+    )
     """The steady state from which the window starts."""
     capacity: int = setting(720, "Longest window.", "samples", 40, 100000)
-    gap: int = setting(5, "Most samples lost in a row that windows reach across.", "samples", 0, 1000)
+    gap: int = setting(
+        5, "Most samples lost in a row that windows reach across.", "samples", 0, 1000
+    )
     """Choose less than a tenth of the plant's main time constant."""
 
     @classmethod
-    def of(cls, plant: type[Plant], period: float, scale: float = 1.0) -> ScheduleSettings:
+    def of(
+        cls, plant: type[Plant], period: float, scale: float = 1.0
+    ) -> ScheduleSettings:
         """Settings for a plant and a sample time, s: with 33 to 100 samples in a time constant as many as
         for the rig, otherwise in proportion, within the bounds of `plant_scale`."""
         pace = plant_scale(plant, period) / period
@@ -95,7 +118,9 @@ class ScheduleSettings:
         if self.gap < 0:
             raise ScheduleError(f"schedule: gap is {self.gap}; it must not be negative")
         if not self.min_step > 0:
-            raise ScheduleError(f"schedule: min_step is {self.min_step}; it must be positive")
+            raise ScheduleError(
+                f"schedule: min_step is {self.min_step}; it must be positive"
+            )
         if not self.min_span <= self.span < self.capacity:
             raise ScheduleError(
                 f"schedule: min_span {self.min_span}, span {self.span} and capacity {self.capacity} samples; "
@@ -144,7 +169,10 @@ class Movements:
     """
 
     def __init__(
-        self, settings: ScheduleSettings, effect: InputEffect | None, units: Signals = (1.0,)
+        self,
+        settings: ScheduleSettings,
+        effect: InputEffect | None,
+        units: Signals = (1.0,),
     ) -> None:
         """Begin without samples.
 
@@ -169,9 +197,17 @@ class Movements:
         """Take a sample; return the index of the first one of the movement that counts now, if any."""
         far = 0.0
         if self._expected is not None:
-            far = float(np.max(np.abs(self._expected.take(np.array(sample.inputs))) / self._least))
+            far = float(
+                np.max(
+                    np.abs(self._expected.take(np.array(sample.inputs))) / self._least
+                )
+            )
         elif sample.references != self._anchor:
-            far = float(np.max(np.abs(np.subtract(sample.references, self._anchor)) / self._least))
+            far = float(
+                np.max(
+                    np.abs(np.subtract(sample.references, self._anchor)) / self._least
+                )
+            )
         began = self._reach.push(sample.index, far)
         if began is not None:
             self.rest(sample)
@@ -231,7 +267,12 @@ class Schedule:
         moved = self._movements.push(sample)
         trigger = None if moved is None else self._on_movement(sample, moved)
         self._samples.append(sample)
-        if self._effect is not None and trigger is None and self._is_due(sample) and not self._waits:
+        if (
+            self._effect is not None
+            and trigger is None
+            and self._is_due(sample)
+            and not self._waits
+        ):
             shown = self._movement_shown(sample, self._effect)
             if shown is not None:
                 self._on_movement(sample, shown)
@@ -273,7 +314,9 @@ class Schedule:
         """Last sample of the newest trigger's window."""
         self._quiet_since = sample.index
         """The first sample behind the newest excited window."""
-        self._movements_from_rest: deque[int] = deque([sample.index + self.settings.lead])
+        self._movements_from_rest: deque[int] = deque(
+            [sample.index + self.settings.lead]
+        )
         """First samples of movements out of rest; the start of the record counts as one."""
         self._movements.rest(sample)
 
@@ -284,11 +327,16 @@ class Schedule:
         if not self._driven:  # a controller holds what it follows: time is enough
             is_steady = began - self._regime_start >= self.settings.min_span
         regime_start = max(began, self._judged_to + 1)
-        trigger = self._excited(sample.index, regime_start - 1) if is_steady and self._waits else None
+        trigger = (
+            self._excited(sample.index, regime_start - 1)
+            if is_steady and self._waits
+            else None
+        )
         if is_from_rest:
             self._movements_from_rest.append(began)
         self._newest_movement = began
-        begins_regime = trigger is not None or not self._waits  # else it is one of the regime that waits
+        # else it is one of the regime that waits
+        begins_regime = trigger is not None or not self._waits
         if begins_regime:
             if self._regime_step is not None:
                 self._previous_step = self._regime_step
@@ -312,7 +360,9 @@ class Schedule:
             lasted = sample.index - self._regime_start
             is_full = lasted >= settings.span
             if is_due and not is_full:
-                missing = self._undetermined(self._window(self._begin(sample.index), sample.index))
+                missing = self._undetermined(
+                    self._window(self._begin(sample.index), sample.index)
+                )
                 is_full = not missing and lasted >= _ENOUGH
             if is_full:
                 self._judged = True
@@ -323,7 +373,9 @@ class Schedule:
         window = self._window(self._judged_to + 1, sample.index)
         self._judged_to = sample.index
         if not self._waits:
-            missing = self._unmoved(window) if self._driven else "the set-point did not move"
+            missing = (
+                self._unmoved(window) if self._driven else "the set-point did not move"
+            )
         return Trigger(sample.index, window, False, self._point(window), missing)
 
     def _point(self, window: Window) -> OperatingPoint:
@@ -332,9 +384,11 @@ class Schedule:
             return point_of(window.references[-1])
         newest = window.outputs[-self.settings.min_span :].T
         rounded = [
-            round(float(np.mean(y)), decimals) for y, decimals in zip(newest, self._decimals, strict=True)
+            round(float(np.mean(y)), decimals)
+            for y, decimals in zip(newest, self._decimals, strict=True)
         ]
-        return point_of([level + 0.0 for level in rounded])  # which makes minus zero zero
+        # which makes minus zero zero
+        return point_of([level + 0.0 for level in rounded])
 
     def _begin(self, last: int) -> int:
         """First sample of an excited window that ends with `last`."""
@@ -342,9 +396,13 @@ class Schedule:
         lead = self.settings.lead
         if not self._driven:
             return max(self._previous_step - lead, oldest)
-        while self._movements_from_rest and self._movements_from_rest[0] - lead < oldest:
+        while (
+            self._movements_from_rest and self._movements_from_rest[0] - lead < oldest
+        ):
             self._movements_from_rest.popleft()
-        return self._movements_from_rest[0] - lead if self._movements_from_rest else oldest
+        return (
+            self._movements_from_rest[0] - lead if self._movements_from_rest else oldest
+        )
 
     def _excited(self, index: int, last: int) -> Trigger:
         """The trigger at sample `index` for the excited window that ends with `last`."""
@@ -354,4 +412,6 @@ class Schedule:
         return Trigger(index, window, True, self._point(window))
 
     def _window(self, first: int, last: int) -> Window:
-        return Window.from_samples([s for s in self._samples if first <= s.index <= last], self.period)
+        return Window.from_samples(
+            [s for s in self._samples if first <= s.index <= last], self.period
+        )

@@ -48,11 +48,19 @@ class ForecastSettings:
         ForecastError: a value is not positive.
     """
 
-    horizons: tuple[float, ...] = setting(HORIZONS, "Horizons at which forecasts are scored.", "s", 1e-6, 1e9)
-    every: float = setting(30.0, "Time between two forecasts of all candidates.", "s", 1e-6, 1e9)
+    horizons: tuple[float, ...] = setting(
+        HORIZONS, "Horizons at which forecasts are scored.", "s", 1e-6, 1e9
+    )
+    every: float = setting(
+        30.0, "Time between two forecasts of all candidates.", "s", 1e-6, 1e9
+    )
     """The stretches by which new candidates and structures are compared scale with it."""
     memory: float = setting(
-        1800.0, "Time after which the weight of a forecast has fallen to 1/e.", "s", 1e-6, 1e9
+        1800.0,
+        "Time after which the weight of a forecast has fallen to 1/e.",
+        "s",
+        1e-6,
+        1e9,
     )
 
     @classmethod
@@ -60,8 +68,12 @@ class ForecastSettings:
         """Settings with times multiplied by `scale`, horizons in whole samples of `period` s, and forecasts
         at least ten samples apart: at each, all candidates are simulated."""
         interval_scale = max(scale, _FEWEST_BETWEEN * period / cls.every)
-        rounded = tuple(max(round(horizon * scale / period), 1) * period for horizon in HORIZONS)
-        horizons = HORIZONS if scale == 1.0 else tuple(float(f"{h:.12g}") for h in rounded)
+        rounded = tuple(
+            max(round(horizon * scale / period), 1) * period for horizon in HORIZONS
+        )
+        horizons = (
+            HORIZONS if scale == 1.0 else tuple(float(f"{h:.12g}") for h in rounded)
+        )
         return cls(horizons, cls.every * interval_scale, cls.memory * interval_scale)
 
     @property
@@ -71,10 +83,18 @@ class ForecastSettings:
 
     def __post_init__(self) -> None:
         if not self.horizons:
-            raise ForecastError("forecasts: there is no horizon; give at least one, in seconds")
-        for name, value in (("horizons", min(self.horizons)), ("every", self.every), ("memory", self.memory)):
+            raise ForecastError(
+                "forecasts: there is no horizon; give at least one, in seconds"
+            )
+        for name, value in (
+            ("horizons", min(self.horizons)),
+            ("every", self.every),
+            ("memory", self.memory),
+        ):
             if not value > 0:
-                raise ForecastError(f"forecasts: {name} is {value} s; it must be positive")
+                raise ForecastError(
+                    f"forecasts: {name} is {value} s; it must be positive"
+                )
 
 
 @dataclass(frozen=True)
@@ -87,12 +107,18 @@ class TrustLimits:
     """
 
     doubtful: float = setting(
-        2.0, "RMS forecast error, in half widths of the band, from which the twin is doubtful.", "", 1e-6, 1e6
+        2.0,
+        "RMS forecast error, in half widths of the band, from which the twin is doubtful.",
+        "",
+        1e-6,
+        1e6,
     )
 
     def __post_init__(self) -> None:
         if not self.doubtful > 0:
-            raise TwinError(f"trust limits: doubtful is {self.doubtful}; it must be positive")
+            raise TwinError(
+                f"trust limits: doubtful is {self.doubtful}; it must be positive"
+            )
 
 
 def _start() -> Parameters:
@@ -116,17 +142,23 @@ class TwinSettings:
     """Names of the parameters that a match may change."""
     start: Parameters = field(default_factory=_start)
     """Start values, and values of the parameters not free; their structure is the one that is matched."""
-    noise: Noise = Noise.of(Peltier)  # noqa: RUF009 (immutable)
+    noise: Noise = Noise.of(Peltier)  # noqa: RUF009
     law: Law | None = field(default_factory=_law)
     """The running controller; None if the loop is not known: twins then get the recorded input."""
     sensor: Sensor = Peltier.sensor
     """Sensor model applied to the twin's response before its models are identified."""
     seed: int = setting(2022, "Seed of that sensor's noise.", "", 0, 2**31)
     """A window's first sample is added to it: windows differ, replays agree."""
-    decimals: int = setting(2, "Decimal places of the information gain's tables.", "", 0, 9)
+    decimals: int = setting(
+        2, "Decimal places of the information gain's tables.", "", 0, 9
+    )
     most_candidates: int = setting(8, "Candidates kept in the family.", "", 1, 64)
     regime_width: float = setting(
-        10.0, "Operating points closer than half of this are one regime.", "{y}", 1e-6, 1e6
+        10.0,
+        "Operating points closer than half of this are one regime.",
+        "{y}",
+        1e-6,
+        1e6,
     )
     """Of several outputs of the first; of the others in proportion to the noise."""
     limits: TrustLimits = field(default_factory=TrustLimits)
@@ -197,7 +229,8 @@ class TwinSettings:
             deviations = np.sqrt(np.diag(candidate.covariance)).tolist()
             values = zip(candidate.free, deviations, strict=True)
             expectations = {
-                name: Expectation(candidate.parameters[name], deviation) for name, deviation in values
+                name: Expectation(candidate.parameters[name], deviation)
+                for name, deviation in values
             }
             prior.setdefault(candidate.parameters.model.structure_name, expectations)
         start = remembered[0].parameters
@@ -224,10 +257,15 @@ class TwinSettings:
         return None if self.law is not None else spans_of(self.plant).ratio
 
     def __post_init__(self) -> None:
-        for name, parameters in (("start", self.start), ("health.reference", self.health.reference)):
+        for name, parameters in (
+            ("start", self.start),
+            ("health.reference", self.health.reference),
+        ):
             title = parameters.model.plant.title
             if parameters.model.plant is not self.plant:
-                raise TwinError(f"twin: {name} has parameters of {title}; give {self.plant.title}'s")
+                raise TwinError(
+                    f"twin: {name} has parameters of {title}; give {self.plant.title}'s"
+                )
         numbers = np.size(self.noise.outputs), np.size(self.noise.inputs)
         signals = len(self.plant.outputs), len(self.plant.drives)
         if numbers != signals:
@@ -236,9 +274,13 @@ class TwinSettings:
                 f"{signals[0]} and {signals[1]}: give one number for each"
             )
         if self.most_candidates < 1:
-            raise TwinError(f"twin: most_candidates is {self.most_candidates}; a family needs at least one")
+            raise TwinError(
+                f"twin: most_candidates is {self.most_candidates}; a family needs at least one"
+            )
         if not self.regime_width > 0:
-            raise TwinError(f"twin: regime_width is {self.regime_width}; it must be positive")
+            raise TwinError(
+                f"twin: regime_width is {self.regime_width}; it must be positive"
+            )
         if self.law is not None and self.law.period != self.period:
             raise TwinError(
                 f"twin: the controller runs every {self.law.period} s but samples come every "

@@ -48,7 +48,11 @@ memory that was right costs only the quick start."""
 
 def watched(plant: type[Plant]) -> tuple[Model, ...]:
     """The plant in the structures that its file marks to be watched on a running plant."""
-    return tuple(plant.model(name) for name, structure in plant.structures.items() if structure.watched)
+    return tuple(
+        plant.model(name)
+        for name, structure in plant.structures.items()
+        if structure.watched
+    )
 
 
 class NewestSamples:
@@ -65,18 +69,26 @@ class NewestSamples:
     def push(self, window: Window) -> Window:
         """Take one window; return all samples that are kept now."""
         samples = self.window
-        if samples is None or window.first > samples.last + 1 or window.last < samples.last:
+        if (
+            samples is None
+            or window.first > samples.last + 1
+            or window.last < samples.last
+        ):
             samples = window
         else:
             samples = samples.joined(window)
-        self.window = samples.part(max(samples.first, samples.last - self._longest + 1), samples.last)
+        self.window = samples.part(
+            max(samples.first, samples.last - self._longest + 1), samples.last
+        )
         return self.window
 
     def cut(self, first: int) -> None:
         """Forget the samples before `first`."""
         samples = self.window
         if samples is not None and samples.first < first:
-            self.window = samples.part(first, samples.last) if first <= samples.last else None
+            self.window = (
+                samples.part(first, samples.last) if first <= samples.last else None
+            )
 
 
 class _Competitor(NamedTuple):
@@ -123,7 +135,9 @@ class StructureFits:
         self._models: tuple[Model, ...] = ()
         self._prior = prior
         pace = scale / period
-        self._least, self._choose_every, longest = (round(time * pace) for time in choice)
+        self._least, self._choose_every, longest = (
+            round(time * pace) for time in choice
+        )
         self._compared = NewestSamples(longest)
         self._fitted = NewestSamples(max(round(MAX_SPAN_S * pace), 1))
         self._fit_every = round(EVERY_S * pace)
@@ -139,15 +153,23 @@ class StructureFits:
         new = [model for model in models if model not in self._models]
         self._models = tuple(dict.fromkeys((*self._models, *new)))
         # Structures that run elsewhere may fail, so they are the plant now only if there are no others.
-        local = [model for model in self._models if not model.is_external] or self._models
-        self._richest = max(reversed(local), key=lambda model: model.structure.n_parameters())
+        local = [
+            model for model in self._models if not model.is_external
+        ] or self._models
+        self._richest = max(
+            reversed(local), key=lambda model: model.structure.n_parameters()
+        )
         if self._fitted.window is not None:
             self._compete(new, self._fitted.window)
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
         """The structures that compete and can still be run, best fit first."""
-        able = [competitor for competitor in self._competitors.values() if not competitor.fit.model.lost]
+        able = [
+            competitor
+            for competitor in self._competitors.values()
+            if not competitor.fit.model.lost
+        ]
         best_first = sorted(able, key=lambda competitor: competitor.fit.charge)
         return tuple(competitor.candidate for competitor in best_first)
 
@@ -161,7 +183,10 @@ class StructureFits:
         newest = self._compared.push(window)
         if before is None or newest.first > before.last or newest.last < before.last:
             self._chosen_at = None
-        is_choice_due = self._chosen_at is None or newest.last - self._chosen_at >= self._choose_every
+        is_choice_due = (
+            self._chosen_at is None
+            or newest.last - self._chosen_at >= self._choose_every
+        )
         if is_choice_due and len(newest) >= self._least:
             self._chosen_at = newest.last
             self.choice = choose_structure(
@@ -173,12 +198,20 @@ class StructureFits:
                 thorough=False,
             )
         window = self._fitted.push(window)
-        fitted_at = max((each.candidate.samples[1] for each in self._competitors.values()), default=None)
-        is_aged = fitted_at is not None and not 0 <= window.last - fitted_at < self._fit_every
+        fitted_at = max(
+            (each.candidate.samples[1] for each in self._competitors.values()),
+            default=None,
+        )
+        is_aged = (
+            fitted_at is not None and not 0 <= window.last - fitted_at < self._fit_every
+        )
         if excited or is_aged:
             self._compete(self._models, window)
         elif self._prior:
-            self._compete([m for m in self._models if self._grown(m.structure_name, window)], window)
+            self._compete(
+                [m for m in self._models if self._grown(m.structure_name, window)],
+                window,
+            )
 
     def _grown(self, name: str, window: Window) -> bool:
         """Whether a structure is remembered and a window has enough more samples than its fit had."""
@@ -199,7 +232,9 @@ class StructureFits:
 
     def forget(self) -> None:
         """Leave what earlier sessions have shown, and the fits that rest on it."""
-        rested = [model for model in self._models if model.structure_name in self._prior]
+        rested = [
+            model for model in self._models if model.structure_name in self._prior
+        ]
         for name in self._prior:
             self._competitors.pop(name, None)
         # matches are made in another structure now
@@ -228,8 +263,13 @@ class StructureFits:
         fitted = self._fitted.window
         if fitted is not None and fitted.last >= first:
             self._fitted.window = None
-        spans = {name: competitor.candidate.samples for name, competitor in self._competitors.items()}
-        gone = tuple(name for name, span in spans.items() if span[1] >= first and span[0] <= last)
+        spans = {
+            name: competitor.candidate.samples
+            for name, competitor in self._competitors.items()
+        }
+        gone = tuple(
+            name for name, span in spans.items() if span[1] >= first and span[0] <= last
+        )
         for name in gone:
             del self._competitors[name]
         return gone
@@ -248,11 +288,18 @@ class StructureFits:
             fit = None if model.lost else self._fit(model, window, start, informed=True)
             if fit is not None:
                 states = fit.states[-1]
-                candidate = Candidate(name, point, fit.parameters, window, free, fit.covariance, states)
+                candidate = Candidate(
+                    name, point, fit.parameters, window, free, fit.covariance, states
+                )
                 self._competitors[name] = _Competitor(candidate, fit)
 
     def _fit(
-        self, model: Model, window: Window, start: StructureFit | None, *, informed: bool = False
+        self,
+        model: Model,
+        window: Window,
+        start: StructureFit | None,
+        *,
+        informed: bool = False,
     ) -> StructureFit | None:
         """Fit one structure; None if there are too few samples or it does not converge."""
         try:
@@ -276,14 +323,16 @@ def unlike(fit: StructureFit, prior: Prior) -> str:
     With prior covariance Σ and that of the fit C, the fit of a plant like the remembered ones lies around the
     prior mean with covariance Σ − C. Only directions count in which the samples have narrowed the prior.
     """
-    from scipy.special import chdtri  # noqa: PLC0415 — a quarter of a second, seldom needed
+    from scipy.special import chdtri  # noqa: PLC0415
 
     parameters = fit.parameters
     free = fit.model.structure.free
     mean, deviation = np.array([prior[name] for name in free]).T
     distance = (np.array([parameters[name] for name in free]) - mean) / deviation
     open_share = fit.covariance / np.outer(deviation, deviation)
-    learned_share, directions = np.linalg.eigh(np.eye(len(free)) - (open_share + open_share.T) / 2)
+    learned_share, directions = np.linalg.eigh(
+        np.eye(len(free)) - (open_share + open_share.T) / 2
+    )
     is_learned = learned_share >= _LEAST_LEARNED
     along_directions = np.square(directions.T[is_learned] @ distance)
     surprise = float(np.sum(along_directions / learned_share[is_learned]))

@@ -22,7 +22,13 @@ import numpy as np
 
 from twinmatch.dynamics import FROM_PLANT_FILE, LoopLaw, Model, Parameters
 from twinmatch.errors import TwinmatchError
-from twinmatch.fitting import FittingError, Noise, StructureFit, fit_structure, held_back_costs
+from twinmatch.fitting import (
+    FittingError,
+    Noise,
+    StructureFit,
+    fit_structure,
+    held_back_costs,
+)
 from twinmatch.signals import FloatArray, Window
 
 _TINY: Final = float(np.finfo(np.float64).tiny)
@@ -101,7 +107,9 @@ class StructureChoice:
         y, u = self.score.fit
         of_u = "" if math.isnan(u) else f", {100 * u:.1f} % of u"
         text = f"free runs on samples held back choose: {self.chosen} (off by {best.off:.3g} × noise, "
-        text += f"{best.fitted.n_parameters} parameters, fit {100 * y:.1f} % of y{of_u})"
+        text += (
+            f"{best.fitted.n_parameters} parameters, fit {100 * y:.1f} % of y{of_u})"
+        )
         rivals = [s for s in self.scores if s.name != self.chosen]
         if rivals:
             second = min(rivals, key=lambda s: s.off)
@@ -157,18 +165,25 @@ def choose_structure(
     samples = (min(w.first for w in several), max(w.last for w in several))
     if previous is not None and _adds_to(previous, scores, samples[0]):
         earlier = {s.name: s.evidence for s in previous.scores}
-        scores = [replace(s, evidence=np.append(earlier[s.name], s.held_back)) for s in scores]
+        scores = [
+            replace(s, evidence=np.append(earlier[s.name], s.held_back)) for s in scores
+        ]
     if not scores:
-        raise FittingError("structures: there is none to choose from; give at least one")
+        raise FittingError(
+            "structures: there is none to choose from; give at least one"
+        )
     best = min(scores, key=lambda s: s.off)
     equal = [s for s in scores if s is best or not _worse(s.evidence, best.evidence)]
     chosen = min(equal, key=lambda s: (s.fitted.n_parameters, s.off))
     return StructureChoice(tuple(scores), chosen.name, samples)
 
 
-def _adds_to(previous: StructureChoice, scores: Sequence[StructureScore], first: int) -> bool:
+def _adds_to(
+    previous: StructureChoice, scores: Sequence[StructureScore], first: int
+) -> bool:
     """Whether these scores, on samples from the `first` on, can be added to the evidence of a choice."""
-    if previous.samples[1] >= first:  # they share samples, whose evidence would count twice
+    if previous.samples[1] >= first:
+        # they share samples, whose evidence would count twice
         return False
     return {s.name for s in previous.scores} >= {s.name for s in scores}
 
@@ -183,5 +198,9 @@ def _worse(costs: FloatArray, least: FloatArray) -> bool:
     nats = blocks / 2 * math.log(mean / best)
     if nats > _EQUAL:
         return True
-    standard_error = float(np.std(costs - least, ddof=1)) / math.sqrt(blocks) if blocks > 1 else math.inf
+    standard_error = (
+        float(np.std(costs - least, ddof=1)) / math.sqrt(blocks)
+        if blocks > 1
+        else math.inf
+    )
     return float(np.mean(costs - least)) > _EQUAL * standard_error

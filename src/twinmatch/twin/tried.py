@@ -18,10 +18,20 @@ def tried_twins(snapshot: Snapshot) -> tuple[TriedTwin, ...]:
         n = outlook.states.size
         sample = outlook.sample
         row = np.array(sample.disturbances) if sample.disturbances else None
-        after = advance(outlook.parameters, outlook.states, sample.inputs, outlook.period, row)
+        after = advance(
+            outlook.parameters, outlook.states, sample.inputs, outlook.period, row
+        )
         covariance = outlook.covariance[n:, n:]
         inputs = np.array(sample.inputs)
         members.append(
-            TriedTwin(name, outlook.parameters, outlook.unsure, covariance, after, inputs, disturbances=row)
+            TriedTwin(
+                name,
+                outlook.parameters,
+                outlook.unsure,
+                covariance,
+                after,
+                inputs,
+                disturbances=row,
+            )
         )
     return tuple(members)

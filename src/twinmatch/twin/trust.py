@@ -48,11 +48,18 @@ class BandCheck(NamedTuple):
     @property
     def inside(self) -> float:
         """The smaller share of the two; NaN without any."""
-        return self.inside_y if np.isnan(self.inside_u) else min(self.inside_y, self.inside_u)
+        return (
+            self.inside_y
+            if np.isnan(self.inside_u)
+            else min(self.inside_y, self.inside_u)
+        )
 
 
 def check_band(
-    forecast: Forecast, outputs: FloatArray, inputs: FloatArray | None, counted: BoolArray | None = None
+    forecast: Forecast,
+    outputs: FloatArray,
+    inputs: FloatArray | None,
+    counted: BoolArray | None = None,
 ) -> BandCheck:
     """Compare the last N samples, shape (o, N) and (m, N), with a forecast; `inputs` is None where they were
     given.
@@ -60,7 +67,9 @@ def check_band(
     Only those that are `counted` are compared; None: all.
     """
     of_outputs = _misses_of_each(outputs, forecast.outputs, counted)
-    of_inputs = [] if inputs is None else _misses_of_each(inputs, forecast.inputs, counted)
+    of_inputs = (
+        [] if inputs is None else _misses_of_each(inputs, forecast.inputs, counted)
+    )
     miss_y, inside_y = _worst(of_outputs)
     miss_u, inside_u = _worst(of_inputs)
     y = outputs[0]
@@ -84,7 +93,10 @@ def _misses_of_each(
     values: FloatArray, bands: Sequence[Band], counted: BoolArray | None
 ) -> list[tuple[float, float]]:
     """Miss and share inside of each signal; `values` have shape (signals, N)."""
-    return [_misses(signal, band, counted) for signal, band in zip(values, bands, strict=True)]
+    return [
+        _misses(signal, band, counted)
+        for signal, band in zip(values, bands, strict=True)
+    ]
 
 
 def _worst(each: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -94,7 +106,9 @@ def _worst(each: Sequence[tuple[float, float]]) -> tuple[float, float]:
     return max(miss for miss, _ in each), min(inside for _, inside in each)
 
 
-def _misses(values: FloatArray, band: Band, counted: BoolArray | None) -> tuple[float, float]:
+def _misses(
+    values: FloatArray, band: Band, counted: BoolArray | None
+) -> tuple[float, float]:
     """RMS of one signal's last samples in half widths of its band, and their share within it."""
     size = values.size
     rows = np.array([values, band.mean[-size:], band.low[-size:], band.high[-size:]])
@@ -145,10 +159,14 @@ class BandHistory:
 
         None if they never did. It shows where there is evidence, not where the physics ends.
         """
-        return next((span for span in self._spans if span[0] <= self._newest <= span[1]), None)
+        return next(
+            (span for span in self._spans if span[0] <= self._newest <= span[1]), None
+        )
 
 
-def merged(spans: Sequence[tuple[float, float]], near: float = 0.0) -> list[tuple[float, float]]:
+def merged(
+    spans: Sequence[tuple[float, float]], near: float = 0.0
+) -> list[tuple[float, float]]:
     """Join ranges that overlap or lie within `near` of each other; lowest first."""
     joined: list[tuple[float, float]] = []
     for low, high in sorted(spans):

@@ -22,7 +22,9 @@ def _make(folder: Path, *, seed: int, seebeck: float) -> Path:
     reference = np.repeat([30.0, 50.0, 65.0], [40, 130, 130])
     window = run(rig(seebeck=seebeck, conductance=0.5, heat_capacity=27.0), reference)
     noise = np.random.default_rng(seed).normal(scale=CAMERA, size=reference.size)
-    return write_session(folder, samples_of(Window(reference, window.output + noise, window.input)))
+    return write_session(
+        folder, samples_of(Window(reference, window.output + noise, window.input))
+    )
 
 
 @pytest.fixture(scope="session")
@@ -44,9 +46,13 @@ def archive_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def replayed(archive_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Replayed:
+def replayed(
+    archive_folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Replayed:
     folder = tmp_path_factory.mktemp("replayed")
     out = folder / "results"
     table = folder / "all.json"
-    done = run_twinmatch("replay", archive_folder, "--jobs", 2, "--out", out, "--json", table)
+    done = run_twinmatch(
+        "replay", archive_folder, "--jobs", 2, "--out", out, "--json", table
+    )
     return Replayed(done, out, table.read_text())

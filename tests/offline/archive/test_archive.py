@@ -25,7 +25,12 @@ from twinmatch.importing import open_any
 from twinmatch.offline import archive as archives
 from twinmatch.offline.archive import ArchiveError, find_sessions, is_single
 from twinmatch.offline.archive.files import Store, content_of, key_of
-from twinmatch.offline.archive.job import ArchiveTerms, Job, judge_in_processes, judge_job
+from twinmatch.offline.archive.job import (
+    ArchiveTerms,
+    Job,
+    judge_in_processes,
+    judge_job,
+)
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.processes import Beside, pool
 from twinmatch.showing.summary import document
@@ -41,7 +46,8 @@ judge_archive = partial(archives.judge_archive, document=document)
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sessions are judged here, where it does not matter that others do it."""
     monkeypatch.setattr(
-        "twinmatch.offline.archive.archive.judge_in_processes", lambda jobs, _: map(judge_job, jobs)
+        "twinmatch.offline.archive.archive.judge_in_processes",
+        lambda jobs, _: map(judge_job, jobs),
     )
 
 
@@ -59,23 +65,35 @@ def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_co
 
     archive_table = json.loads(replayed.table)
     kept_entries = {
-        entry["result"]["session"]: entry for entry in map(json.loads, map(Path.read_text, out.iterdir()))
+        entry["result"]["session"]: entry
+        for entry in map(json.loads, map(Path.read_text, out.iterdir()))
     }
-    paths = {"second": archive_folder / "deeper" / "second", "first": archive_folder / "first"}
+    paths = {
+        "second": archive_folder / "deeper" / "second",
+        "first": archive_folder / "first",
+    }
     assert (
-        [s["session"] for s in archive_table["sessions"]] == list(paths) == sorted(kept_entries, reverse=True)
+        [s["session"] for s in archive_table["sessions"]]
+        == list(paths)
+        == sorted(kept_entries, reverse=True)
     )
     for name, path in paths.items():
         alone = judge(session := open_any(path), terms_from_files(session))
-        expected = json.loads(json.dumps(document(name, alone.verdicts, alone.summary, alone.matches)))
+        expected = json.loads(
+            json.dumps(document(name, alone.verdicts, alone.summary, alone.matches))
+        )
         assert {key: kept_entries[name]["result"][key] for key in expected} == expected
         rows = [row for row in archive_table["candidates"] if row["session"] == name]
-        assert [row["name"] for row in rows] == [c.name for c in alone.verdicts[-1].modelled]
+        assert [row["name"] for row in rows] == [
+            c.name for c in alone.verdicts[-1].modelled
+        ]
         for row, candidate in zip(rows, alone.verdicts[-1].modelled, strict=True):
             assert row["parameters"]["seebeck"] == candidate.parameters["seebeck"]
             assert row["nu_gap_sum"] == candidate.nu_gap_sum
             assert row["chosen_order"] == candidate.chosen_order
-            chosen = next(o for o in candidate.orders if o.order == candidate.chosen_order)
+            chosen = next(
+                o for o in candidate.orders if o.order == candidate.chosen_order
+            )
             assert row["criteria"]["naic"] == chosen.total.naic
         nominal = [row for row in rows if row["nominal"]]
         assert [row["name"] for row in nominal] == [alone.summary.nominal]
@@ -84,7 +102,9 @@ def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_co
 
     # What was kept is what the next run shows: a mark in it shows too.
     for file in out.iterdir():
-        file.write_text(file.read_text().replace('"nominal": true', '"nominal": true, "mark": 1'))
+        file.write_text(
+            file.read_text().replace('"nominal": true', '"nominal": true, "mark": 1')
+        )
     continued = judge_archive([archive_folder], out=out)
     assert continued.reused == 2
     assert [row.get("mark") for row in continued.candidates if row["nominal"]] == [1, 1]
@@ -92,7 +112,9 @@ def test_an_archive_is_judged_as_its_sessions_are_one_by_one_and_a_second_run_co
 
 
 @pytest.mark.usefixtures("in_this_process")
-def test_a_result_is_used_again_as_long_as_session_and_parameters_stay_the_same(tmp_path: Path) -> None:
+def test_a_result_is_used_again_as_long_as_session_and_parameters_stay_the_same(
+    tmp_path: Path,
+) -> None:
     session = tmp_path / "quiet.csv"
     config = tmp_path / "config.yaml"
     out = tmp_path / "out"
@@ -117,7 +139,9 @@ def test_progress_counts_every_session_once(tmp_path: Path) -> None:
     bad[1].touch()
     progress: list[tuple[int, int]] = []
     skipped = []
-    archive = judge_archive(bad, watch=lambda *at: progress.append(at), on_skip=skipped.append)
+    archive = judge_archive(
+        bad, watch=lambda *at: progress.append(at), on_skip=skipped.append
+    )
     assert progress[-1] == (2, 2)
     assert [count for count, _ in progress] == sorted({count for count, _ in progress})
     assert list(archive.failed) == skipped
@@ -154,7 +178,8 @@ class _Fatal:
 
 def test_a_process_that_dies_takes_only_its_session_along(tmp_path: Path) -> None:
     jobs: list[Any] = []
-    for number in range(2):  # not the content that is expected; that this is said shows who was looked at
+    for number in range(2):
+        # not the content that is expected; that this is said shows who was looked at
         (tmp_path / f"{number}.csv").touch()
         jobs.append(Job(number, tmp_path / f"{number}.csv", "", None))  # type: ignore[arg-type]
     jobs[1] = replace(jobs[1], terms=_Fatal())
@@ -176,7 +201,9 @@ def test_a_session_elsewhere_has_to_be_the_same(tmp_path: Path) -> None:
     assert "changed" in judge_job(job).error
 
 
-def test_control_c_ends_all_processes_and_keeps_what_was_done(tmp_path: Path, make_session: Make) -> None:
+def test_control_c_ends_all_processes_and_keeps_what_was_done(
+    tmp_path: Path, make_session: Make
+) -> None:
     for number in range(4):
         make_session(tmp_path / "runs" / str(number), seed=number, seebeck=0.06)
     out = tmp_path / "out"
@@ -192,17 +219,27 @@ def test_control_c_ends_all_processes_and_keeps_what_was_done(tmp_path: Path, ma
         out,
     ]
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     ) as running:
-        wait_for(lambda: list(out.glob("*.json")) or running.poll() is not None, "a result")
-        os.killpg(running.pid, signal.SIGINT)  # as a terminal does it: to all of the group
+        wait_for(
+            lambda: list(out.glob("*.json")) or running.poll() is not None, "a result"
+        )
+        # as a terminal does it: to all of the group
+        os.killpg(running.pid, signal.SIGINT)
         _, errors = running.communicate(timeout=360)
     assert running.returncode == 130, errors
     assert errors.strip().splitlines() == ["twinmatch: interrupted"]
     wait_for(lambda: _is_gone(running.pid), "the end of all processes")
     judged_count = len(list(out.iterdir()))
     assert 1 <= judged_count < 4
-    assert all(file.suffix == ".json" and json.loads(file.read_text()) for file in out.iterdir())
+    assert all(
+        file.suffix == ".json" and json.loads(file.read_text())
+        for file in out.iterdir()
+    )
     sessions = sorted((tmp_path / "runs").iterdir())[:judged_count]
     assert judge_archive(sessions, out=out, jobs=1).reused == judged_count
 
@@ -251,20 +288,39 @@ def tree(tmp_path: Path) -> Path:
     ("named", "sessions"),
     [
         pytest.param(".", "a/deep b c/x.MAT c/y.csv d[1].csv", id="all in a folder"),
-        pytest.param("b a/deep b/run_0.mcap", "b a/deep b/run_0.mcap", id="sessions and a file of one"),
-        pytest.param("c/y.csv c c/../b b", "c/y.csv c/x.MAT c/../b", id="each once, as named"),
-        pytest.param("c/*.[cM]* **/deep", "c/x.MAT c/y.csv a/deep", id="patterns that the shell left"),
-        pytest.param("d[1].csv", "d[1].csv", id="a name that only looks like a pattern"),
-        pytest.param("absent.mat", "absent.mat", id="what is not there is named when it is judged"),
+        pytest.param(
+            "b a/deep b/run_0.mcap",
+            "b a/deep b/run_0.mcap",
+            id="sessions and a file of one",
+        ),
+        pytest.param(
+            "c/y.csv c c/../b b", "c/y.csv c/x.MAT c/../b", id="each once, as named"
+        ),
+        pytest.param(
+            "c/*.[cM]* **/deep",
+            "c/x.MAT c/y.csv a/deep",
+            id="patterns that the shell left",
+        ),
+        pytest.param(
+            "d[1].csv", "d[1].csv", id="a name that only looks like a pattern"
+        ),
+        pytest.param(
+            "absent.mat",
+            "absent.mat",
+            id="what is not there is named when it is judged",
+        ),
     ],
 )
-def test_what_is_named_stands_for_these_sessions(tree: Path, named: str, sessions: str) -> None:
+def test_what_is_named_stands_for_these_sessions(
+    tree: Path, named: str, sessions: str
+) -> None:
     paths = find_sessions([tree / name for name in named.split()])
     assert [str(path.relative_to(tree)) for path in paths] == sessions.split()
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("*.mcap", "matches this pattern"), ("empty", "has neither sessions")]
+    ("name", "words"),
+    [("*.mcap", "matches this pattern"), ("empty", "has neither sessions")],
 )
 def test_nothing_found_is_said(tree: Path, name: str, words: str) -> None:
     with pytest.raises(ArchiveError, match=words):
@@ -272,7 +328,9 @@ def test_nothing_found_is_said(tree: Path, name: str, words: str) -> None:
 
 
 def test_one_session_is_distinguished_from_many(tree: Path) -> None:
-    assert all(is_single([tree / name]) for name in ("b", "c/y.csv", "absent", "d[1].csv"))
+    assert all(
+        is_single([tree / name]) for name in ("b", "c/y.csv", "absent", "d[1].csv")
+    )
     for names in (".", "b a", "*"):
         assert not is_single([tree / name for name in names.split()]), names
 
@@ -297,9 +355,12 @@ def test_what_is_kept_is_found_under_its_session_and_key_only_and_a_failed_write
 
 
 @pytest.mark.parametrize(
-    "text", ["", '{"key": "k", "resu', "[]", '{"key": "k"}', '{"key": "k", "result": 1}']
+    "text",
+    ["", '{"key": "k", "resu', "[]", '{"key": "k"}', '{"key": "k", "result": 1}'],
 )
-def test_a_file_that_is_torn_or_not_ours_counts_as_none(text: str, tmp_path: Path) -> None:
+def test_a_file_that_is_torn_or_not_ours_counts_as_none(
+    text: str, tmp_path: Path
+) -> None:
     store = Store(tmp_path)
     store.file_of(tmp_path / "run").write_text(text)
     assert store.find(tmp_path / "run", "k") is None
@@ -330,4 +391,7 @@ def test_any_byte_of_a_session_changes_its_hash(tmp_path: Path) -> None:
         hashed(a_mcap=b"abc", b_mcap=b"def", metadata_yaml=b"x"),
     ]
     assert len({whole, *changed}) == 6
-    assert len({key_of(content, terms) for content in changed[:2] for terms in ("", "b")}) == 4
+    assert (
+        len({key_of(content, terms) for content in changed[:2] for terms in ("", "b")})
+        == 4
+    )

@@ -34,28 +34,56 @@ judge_archive = partial(archives.judge_archive, document=document)
 def dask(stack: ExitStack, folder: Path, *arguments: str) -> None:
     """Run one of Dask's programs until the stack ends; what it says goes into the folder."""
     quiet = os.environ | {"DASK_DISTRIBUTED__ADMIN__LOW_LEVEL_LOG_LENGTH": "0"}
-    command = [sys.executable, "-m", "dask", *arguments, "--host", "127.0.0.1", "--no-dashboard"]
-    process = Process(*command, output=folder / f"{arguments[0]}.log", environment=quiet, folder=folder)
+    command = [
+        sys.executable,
+        "-m",
+        "dask",
+        *arguments,
+        "--host",
+        "127.0.0.1",
+        "--no-dashboard",
+    ]
+    process = Process(
+        *command,
+        output=folder / f"{arguments[0]}.log",
+        environment=quiet,
+        folder=folder,
+    )
     stack.callback(process.end)
 
 
 def address_in(file: Path) -> str:
     """The address a scheduler writes into its file once it listens."""
-    wait_for(lambda: file.exists() and file.read_text().rstrip().endswith("}"), f"a scheduler in {file}")
+    wait_for(
+        lambda: file.exists() and file.read_text().rstrip().endswith("}"),
+        f"a scheduler in {file}",
+    )
     return str(json.loads(file.read_text())["address"])
 
 
 @pytest.fixture(scope="module")
-def idle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ExitStack, Path, str]]:
+def idle(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[tuple[ExitStack, Path, str]]:
     """A scheduler without workers."""
     folder = tmp_path_factory.mktemp("cluster")
     with ExitStack() as stack:
-        dask(stack, folder, "scheduler", "--port", "0", "--scheduler-file", "scheduler.json")
+        dask(
+            stack,
+            folder,
+            "scheduler",
+            "--port",
+            "0",
+            "--scheduler-file",
+            "scheduler.json",
+        )
         yield stack, folder, address_in(folder / "scheduler.json")
 
 
 def test_a_cluster_without_workers_is_named(
-    idle: tuple[ExitStack, Path, str], archive_folder: Path, monkeypatch: pytest.MonkeyPatch
+    idle: tuple[ExitStack, Path, str],
+    archive_folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     _, _, address = idle
     monkeypatch.setattr("twinmatch.offline.archive.job.PATIENCE", 3.0)
@@ -69,7 +97,17 @@ def address(idle: tuple[ExitStack, Path, str]) -> str:
     """A scheduler with two workers of one thread each."""
     stack, folder, address = idle
     for name in "ab":
-        dask(stack, folder, "worker", address, "--nthreads", "1", "--no-nanny", "--name", name)
+        dask(
+            stack,
+            folder,
+            "worker",
+            address,
+            "--nthreads",
+            "1",
+            "--no-nanny",
+            "--name",
+            name,
+        )
     from distributed import Client
 
     with Client(address, set_as_default=False, timeout=360) as client:
@@ -82,7 +120,9 @@ def test_two_workers_find_what_processes_find(
 ) -> None:
     out = tmp_path / "cluster"
     table = tmp_path / "cluster.json"
-    process = run_twinmatch("replay", archive_folder, "--scheduler", address, "--out", out, "--json", table)
+    process = run_twinmatch(
+        "replay", archive_folder, "--scheduler", address, "--out", out, "--json", table
+    )
     assert process.returncode == 3, process.stderr
     assert "bad.csv" in process.stderr
     assert "Traceback" not in process.stderr
@@ -96,7 +136,9 @@ def results_in(folder: Path) -> list[Any]:
     return [json.loads(file.read_text()) for file in sorted(folder.iterdir())]
 
 
-@pytest.mark.parametrize("bad", ["foo", "127.0.0.1", "http://127.0.0.1:8786", "tcp://127.0.0.1:1"])
+@pytest.mark.parametrize(
+    "bad", ["foo", "127.0.0.1", "http://127.0.0.1:8786", "tcp://127.0.0.1:1"]
+)
 def test_an_address_that_leads_nowhere_is_one_line(
     bad: str, archive_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -107,14 +149,18 @@ def test_an_address_that_leads_nowhere_is_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_nothing_of_dask_is_loaded_unasked_and_without_it_the_extra_is_named(archive_folder: Path) -> None:
+def test_nothing_of_dask_is_loaded_unasked_and_without_it_the_extra_is_named(
+    archive_folder: Path,
+) -> None:
     code = (
         "import sys, twinmatch.cli, twinmatch.offline.archive, twinmatch.offline.judging\n"
         "print('distributed' in sys.modules); sys.modules['distributed'] = None\n"
         f"words = ['replay', {str(archive_folder / 'first')!r}, '--scheduler', 'tcp://127.0.0.1:1']\n"
         "sys.exit(twinmatch.cli.main(words))"
     )
-    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    process = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
     assert process.stdout.strip() == "False", process.stderr
     assert process.returncode == 2
     assert "twinmatch[cluster]" in process.stderr

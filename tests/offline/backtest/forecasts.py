@@ -32,7 +32,9 @@ def forecast_of(
     )
 
 
-def set_points(samples: int, seed: int, levels: tuple[int, int] = (30, 80)) -> FloatArray:
+def set_points(
+    samples: int, seed: int, levels: tuple[int, int] = (30, 80)
+) -> FloatArray:
     """Set-points between two levels in °C; each lasts 50 to 150 samples."""
     random = np.random.default_rng(seed)
     references: list[float] = []
@@ -41,14 +43,18 @@ def set_points(samples: int, seed: int, levels: tuple[int, int] = (30, 80)) -> F
     return np.array(references[:samples])
 
 
-def linear_loop(reference: FloatArray, random: np.random.Generator, past: Window | None = None) -> Window:
+def linear_loop(
+    reference: FloatArray, random: np.random.Generator, past: Window | None = None
+) -> Window:
     """A first-order plant under a PI controller, with noise inside the loop; it continues from a past.
 
     y[k] = 0.95 y[k−1] + 0.02 u[k−1] + 1 + 0.1 e[k]; u[k] = u[k−1] + 8 (ε[k] − 0.9 ε[k−1]) + 2 v[k] with
     ε = r − y, which is an ARX loop of order 1, limits aside.
     """
     y, u, r = (
-        (past.output[-1], past.input[-1], past.reference[-1]) if past else (reference[0], 0.0, reference[0])
+        (past.output[-1], past.input[-1], past.reference[-1])
+        if past
+        else (reference[0], 0.0, reference[0])
     )
     outputs = []
     entries = []
@@ -60,4 +66,9 @@ def linear_loop(reference: FloatArray, random: np.random.Generator, past: Window
         r = wanted
         outputs.append(y)
         entries.append(u)
-    return Window(reference, np.array(outputs), np.array(entries), first=past.last + 1 if past else 0)
+    return Window(
+        reference,
+        np.array(outputs),
+        np.array(entries),
+        first=past.last + 1 if past else 0,
+    )

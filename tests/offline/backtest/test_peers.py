@@ -31,11 +31,15 @@ def second_order(size: int, noise: float, seed: int) -> tuple[FloatArray, FloatA
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.uniform(-5.0, 5.0, -(-size // 40)), 40)[:size]
     a = [1.0, -1.6, 0.64]
-    y = lfilter([0.0, 0.05, 0.03], a, u) + lfilter([1.0], a, noise * rng.standard_normal(size))
+    y = lfilter([0.0, 0.05, 0.03], a, u) + lfilter(
+        [1.0], a, noise * rng.standard_normal(size)
+    )
     return u, np.asarray(y, dtype=np.float64)
 
 
-def fitted(outputs: FloatArray, inputs: FloatArray, forgetting: float = 1.0, pace: int = 30) -> ArxForecast:
+def fitted(
+    outputs: FloatArray, inputs: FloatArray, forgetting: float = 1.0, pace: int = 30
+) -> ArxForecast:
     """The model after these samples, shapes (N, o) and (N, m), asked at every `pace` of them."""
     arx = Arx(None, forgetting)
     departure = None
@@ -48,9 +52,13 @@ def fitted(outputs: FloatArray, inputs: FloatArray, forgetting: float = 1.0, pac
 
 
 @pytest.mark.parametrize("forgetting", [1.0, 0.99])
-def test_the_least_squares_and_their_aicc_are_those_of_statsmodels(forgetting: float) -> None:
+def test_the_least_squares_and_their_aicc_are_those_of_statsmodels(
+    forgetting: float,
+) -> None:
     """Every order by its weighted least squares: the chosen one has the least AICc, and its coefficients."""
-    api = pytest.importorskip("statsmodels.api", reason="statsmodels is in the extra 'test'")
+    api = pytest.importorskip(
+        "statsmodels.api", reason="statsmodels is in the extra 'test'"
+    )
     measures = pytest.importorskip("statsmodels.tools.eval_measures")
     u, y = second_order(400, 0.05, 3)
     ours = fitted(y[:, None], u[:, None], forgetting)
@@ -59,13 +67,20 @@ def test_the_least_squares_and_their_aicc_are_those_of_statsmodels(forgetting: f
     weights = forgetting ** np.arange(rows.size)[::-1].astype(float)
     coefficients_by_aicc = {}
     for order in range(1, MAX_ORDER + 1):
-        columns = np.column_stack([np.ones(rows.size), *(signals[rows - lag] for lag in range(1, order + 1))])
+        columns = np.column_stack(
+            [np.ones(rows.size), *(signals[rows - lag] for lag in range(1, order + 1))]
+        )
         theirs = api.WLS(y[rows] - y[rows - 1], columns, weights=weights).fit()
         n = weights.sum()
         size = columns.shape[1]
-        coefficients_by_aicc[measures.aicc(-0.5 * n * np.log(theirs.ssr / n), n, size + 1)] = theirs.params
+        coefficients_by_aicc[
+            measures.aicc(-0.5 * n * np.log(theirs.ssr / n), n, size + 1)
+        ] = theirs.params
     np.testing.assert_allclose(
-        ours.coefficients[0], coefficients_by_aicc[min(coefficients_by_aicc)], rtol=1e-6, atol=1e-8
+        ours.coefficients[0],
+        coefficients_by_aicc[min(coefficients_by_aicc)],
+        rtol=1e-6,
+        atol=1e-8,
     )
 
 
@@ -104,11 +119,15 @@ def test_a_plant_of_higher_order_gets_its_order() -> None:
 
 
 @settings(max_examples=30)
-@given(st.integers(40, 200), st.integers(0, 2**16), st.sampled_from([0.0, 1e-3, 1.0, 50.0]))
+@given(
+    st.integers(40, 200), st.integers(0, 2**16), st.sampled_from([0.0, 1e-3, 1.0, 50.0])
+)
 def test_any_past_gives_a_finite_forecast(count: int, seed: int, size: float) -> None:
     """Nothing moves, little noise, wild jumps: never an overflow, a NaN or a warning."""
     random = np.random.default_rng(seed)
-    steps = np.where(random.random((2, count)) < 0.05, random.normal(0.0, 1.0, (2, count)), 0.0)
+    steps = np.where(
+        random.random((2, count)) < 0.05, random.normal(0.0, 1.0, (2, count)), 0.0
+    )
     y, u = size * np.cumsum(steps, axis=1) + np.array([[50.0], [0.0]])
     forecasts = fitted(y[:, None], u[:, None]).referees(np.full(60, u[-1]), None)
     assert forecasts.shape == (2, 2, 60)
@@ -143,7 +162,9 @@ def errors_at(tested: Backtest, forecaster: str, horizon: float) -> dict[int, fl
 
 
 @pytest.mark.parametrize("name", RECORDED)
-def test_the_backtest_and_the_verdict_say_the_same_of_arx(name: str, tmp_path: Path) -> None:
+def test_the_backtest_and_the_verdict_say_the_same_of_arx(
+    name: str, tmp_path: Path
+) -> None:
     """On other people's plants: where both have compared, their ratios of ARX to the leader differ by less
     than a factor of two. With two models of one name it was thirteen on the box.
 
@@ -152,8 +173,19 @@ def test_the_backtest_and_the_verdict_say_the_same_of_arx(name: str, tmp_path: P
     """
     table, plant, *mapped = RECORDED[name]
     if not (OTHERS / table).exists():
-        pytest.skip("the shared recordings are not here; see TWINMATCH_PLANT_RECORDINGS")
-    arguments = ["--plant", plant, "--gaps", "refuse", "--map", *mapped, "-o", str(tmp_path / "session")]
+        pytest.skip(
+            "the shared recordings are not here; see TWINMATCH_PLANT_RECORDINGS"
+        )
+    arguments = [
+        "--plant",
+        plant,
+        "--gaps",
+        "refuse",
+        "--map",
+        *mapped,
+        "-o",
+        str(tmp_path / "session"),
+    ]
     assert main(["import", str(OTHERS / table), *arguments]) == 0
     session = open_any(tmp_path / "session")
     terms = terms_from_files(session)
@@ -161,7 +193,9 @@ def test_the_backtest_and_the_verdict_say_the_same_of_arx(name: str, tmp_path: P
     tested = graded(judge(session, terms, beside=listener), listener)
     assert listener.twin is not None
     forecaster = listener.twin.discriminator.forecaster
-    skills = next(score for score in forecaster.scores if score.name == forecaster.leader).arx_skill
+    skills = next(
+        score for score in forecaster.scores if score.name == forecaster.leader
+    ).arx_skill
     compared = 0
     for horizon, skill in zip(tested.horizons, skills, strict=True):
         leader_errors = errors_at(tested, "leader", horizon)
@@ -169,7 +203,9 @@ def test_the_backtest_and_the_verdict_say_the_same_of_arx(name: str, tmp_path: P
         if len(leader_errors) < 8 or np.isnan(skill):
             continue
         ratios = [arx_errors[sample] / error for sample, error in leader_errors.items()]
-        assert abs(np.log(np.exp(np.mean(np.log(ratios))) * (1.0 - skill))) < np.log(2.0)
+        assert abs(np.log(np.exp(np.mean(np.log(ratios))) * (1.0 - skill))) < np.log(
+            2.0
+        )
         compared += 1
     assert compared
 
@@ -190,8 +226,14 @@ def test_arx_beats_persistence_on_a_recorded_hour(
         arx.push(Sample(k, 0, *(tuple(signal.tolist()) for signal in row)))
         if k > 1800 and k % 300 == 0:
             came = np.array([hour.output[k + 1 : k + 301], hour.input[k + 1 : k + 301]])
-            error = came - arx.departure(state).referees(hour.reference[k + 1 : k + 301], None)
-            errors.append(np.sqrt(np.mean(np.square(error / np.array([[0.1], [7.0]])), axis=(1, 2))))
+            error = came - arx.departure(state).referees(
+                hour.reference[k + 1 : k + 301], None
+            )
+            errors.append(
+                np.sqrt(
+                    np.mean(np.square(error / np.array([[0.1], [7.0]])), axis=(1, 2))
+                )
+            )
     persistence, arx_error = np.median(errors, axis=0)
     assert arx_error < 0.1 * persistence
 
@@ -208,7 +250,9 @@ THEIR_SCORES = {
 
 
 @pytest.mark.parametrize(("name", "parameters"), THEIR_SCORES)
-def test_the_score_is_the_authors(incubator_folder: Path, name: str, parameters: int) -> None:
+def test_the_score_is_the_authors(
+    incubator_folder: Path, name: str, parameters: int
+) -> None:
     """Their way back follows one table and not three, so that their pairs do not quite add up to it."""
     score, share_alike = THEIR_SCORES[name, parameters]
     score_found = fidelity(*published_twin(incubator_folder, name, parameters), 0.2)
@@ -216,7 +260,9 @@ def test_the_score_is_the_authors(incubator_folder: Path, name: str, parameters:
     assert score_found.matched == pytest.approx(share_alike, abs=0.006)
 
 
-def test_by_the_authors_own_measure_ours_is_more_like_the_box_than_theirs(incubator_folder: Path) -> None:
+def test_by_the_authors_own_measure_ours_is_more_like_the_box_than_theirs(
+    incubator_folder: Path,
+) -> None:
     """At their tolerance of 0.2 °C, fitted to both runs as theirs."""
     runs = [read_run(incubator_folder, name) for name in (FIRST, SECOND)]
     fitted = fit_structure(runs, Incubator.model("box with mass"))

@@ -23,7 +23,13 @@ from twinmatch.comparing import TrustLevel
 from twinmatch.dynamics import Sensor, begin, simulate_closed_loop
 from twinmatch.forecasting import Arx
 from twinmatch.importing import open_any
-from twinmatch.offline.backtest import Choices, Listener, backtest, backtest_session, graded
+from twinmatch.offline.backtest import (
+    Choices,
+    Listener,
+    backtest,
+    backtest_session,
+    graded,
+)
 from twinmatch.offline.backtest.origins import ask, mark, origins
 from twinmatch.offline.backtest.scoring import (
     CONSTANT,
@@ -60,20 +66,30 @@ def card(tested: Backtest, forecaster: str, horizon: float) -> Card:
 
 
 def test_everybody_is_judged_from_the_same_origins(shipped: Backtest) -> None:
-    assert [c.who for c in shipped.cards][::3][:5] == [LEADER, NOMINAL, NEWEST, CONSTANT, HINDSIGHT]
+    assert [c.who for c in shipped.cards][::3][:5] == [
+        LEADER,
+        NOMINAL,
+        NEWEST,
+        CONSTANT,
+        HINDSIGHT,
+    ]
     for horizon in shipped.horizons:
         cards_there = [c for c in shipped.cards if c.horizon == horizon]
         assert len({c.count for c in cards_there}) == 1
         assert cards_there[0].count >= 30
 
 
-def test_the_leader_is_near_the_best_and_beats_everybody_without_a_twin(shipped: Backtest) -> None:
+def test_the_leader_is_near_the_best_and_beats_everybody_without_a_twin(
+    shipped: Backtest,
+) -> None:
     """The rig is of a structure that competes, seen through noise of 1: the leader errs by little more."""
     for horizon in (60.0, 300.0):
         leader = card(shipped, LEADER, horizon)
         assert 0.8 < leader.median < 1.3
         assert 1.0 <= leader.ratio < 1.2
-        without_twin = [c for c in shipped.cards if c.horizon == horizon and c.who not in TWINS]
+        without_twin = [
+            c for c in shipped.cards if c.horizon == horizon and c.who not in TWINS
+        ]
         assert without_twin
         assert all(c.median > 1.05 * leader.median for c in without_twin)
         assert card(shipped, "persistence", horizon).median > 10.0 * leader.median
@@ -89,7 +105,9 @@ def test_the_leaders_band_holds_what_it_promises(shipped: Backtest) -> None:
 
 def test_a_constant_band_has_the_means_of_the_nominal(shipped: Backtest) -> None:
     for horizon in shipped.horizons:
-        nominal, constant = (card(shipped, forecaster, horizon) for forecaster in (NOMINAL, CONSTANT))
+        nominal, constant = (
+            card(shipped, forecaster, horizon) for forecaster in (NOMINAL, CONSTANT)
+        )
         assert (nominal.median, nominal.nine_in_ten, nominal.ratio) == (
             constant.median,
             constant.nine_in_ten,
@@ -135,7 +153,9 @@ def test_forecasts_through_a_fault_are_left_out(tmp_path: Path) -> None:
 
 def test_without_a_candidate_there_is_nothing_to_judge(tmp_path: Path) -> None:
     still = np.full(200, 30.0)
-    session = open_any(write_session(tmp_path / "still", samples_of(Window(still, still, still))))
+    session = open_any(
+        write_session(tmp_path / "still", samples_of(Window(still, still, still)))
+    )
     (tested,) = backtest(session, terms_from_files(session), TWIN_ONLY)
     assert (tested.marked, tested.cards, tested.shown) == ((), [], ())
     assert any("there was no candidate yet" in note for note in tested.notes)
@@ -143,26 +163,40 @@ def test_without_a_candidate_there_is_nothing_to_judge(tmp_path: Path) -> None:
 
 def rms_of_leader(tested: Backtest) -> dict[tuple[int, float], float]:
     """Errors of the output as the leader forecast it, by origin and horizon."""
-    return {(m.sample, m.horizon): m.marks.output.rms for m in tested.marked if m.who == LEADER}
+    return {
+        (m.sample, m.horizon): m.marks.output.rms
+        for m in tested.marked
+        if m.who == LEADER
+    }
 
 
 def test_a_lost_sample_costs_no_forecast(early: Backtest) -> None:
     """Every fifteenth is lost: all are made that do not begin or end there, with nearly the same errors."""
-    thinned = backtest_where(lambda sample: sample.index < 900 and sample.index % 15 != 7)
+    thinned = backtest_where(
+        lambda sample: sample.index < 900 and sample.index % 15 != 7
+    )
     ends = {(m.sample + round(h)) % 15 for m in thinned.marked for h in (m.horizon,)}
     assert 7 not in ends
     before = rms_of_leader(early)
     with_gaps = rms_of_leader(thinned)
-    places = [place for place in before if place[0] % 15 != 7 and (place[0] + round(place[1])) % 15 != 7]
+    places = [
+        place
+        for place in before
+        if place[0] % 15 != 7 and (place[0] + round(place[1])) % 15 != 7
+    ]
     assert len(with_gaps.keys() & set(places)) > 0.9 * len(places)
-    assert np.median([*with_gaps.values()]) == pytest.approx(np.median([*before.values()]), rel=0.2)
+    assert np.median([*with_gaps.values()]) == pytest.approx(
+        np.median([*before.values()]), rel=0.2
+    )
 
 
 def test_nothing_is_forecast_over_a_gap() -> None:
     """Forty samples are lost: what is said before ends there, and what is said after starts over."""
     whole = open_any(SHIPPED)
     session = replace(whole, samples=[*whole.samples[:600], *whole.samples[640:900]])
-    (tested,) = backtest(session, terms_from_files(session), Choices(every=50.0, peers=("persistence",)))
+    (tested,) = backtest(
+        session, terms_from_files(session), Choices(every=50.0, peers=("persistence",))
+    )
     reach = {(m.sample, m.sample + round(m.horizon)) for m in tested.marked}
     assert any(last < 600 for _, last in reach)
     assert any(first >= 640 for first, _ in reach)
@@ -175,7 +209,9 @@ def test_another_plant_is_tested_as_the_rig_is(tmp_path: Path) -> None:
     truth = Motor.model("without friction").parameters(k=0.06, j=5e-4, b=2e-4)
     reference = np.repeat([50.0, 150.0, 90.0, -60.0], 180)
     sensor = Sensor(noise=Motor.output.noise).realise(reference.size, 0.05, 3)
-    run = simulate_closed_loop(truth, reference, states=begin(truth, 0.0), law=Motor.loop, sensor=sensor)
+    run = simulate_closed_loop(
+        truth, reference, states=begin(truth, 0.0), law=Motor.loop, sensor=sensor
+    )
     samples = samples_of(Window(reference, run.output, run.input, period=0.05))
     choices = Choices(every=2.0, horizons=(0.5, 5.0))
     settings = TwinSettings.of(Motor, period=0.05)
@@ -210,10 +246,15 @@ def test_the_leader_is_reported(shipped: Backtest) -> None:
 def test_the_best_in_hindsight_is_one_of_the_candidates(shipped: Backtest) -> None:
     errors: dict[tuple[str, int, float], dict[str, Marked]] = {}
     for marked_forecast in shipped.marked:
-        errors.setdefault(marked_forecast.place, {})[marked_forecast.who] = marked_forecast
+        errors.setdefault(marked_forecast.place, {})[marked_forecast.who] = (
+            marked_forecast
+        )
     for by_forecaster in errors.values():
         for forecaster in (LEADER, NOMINAL, NEWEST):
-            assert by_forecaster[HINDSIGHT].marks.error <= by_forecaster[forecaster].marks.error
+            assert (
+                by_forecaster[HINDSIGHT].marks.error
+                <= by_forecaster[forecaster].marks.error
+            )
 
 
 @pytest.mark.parametrize(
@@ -221,8 +262,14 @@ def test_the_best_in_hindsight_is_one_of_the_candidates(shipped: Backtest) -> No
     [
         (lambda: Choices(horizons=()), "there is no horizon"),
         (lambda: Choices(peers=("prophet",)), "no peer 'prophet'"),
-        (lambda: backtest_session(SHIPPED, Choices(horizons=(0.5,))), "shorter than one sample"),
-        (lambda: backtest_session(SHIPPED, Choices(every=0.1)), "shorter than one sample"),
+        (
+            lambda: backtest_session(SHIPPED, Choices(horizons=(0.5,))),
+            "shorter than one sample",
+        ),
+        (
+            lambda: backtest_session(SHIPPED, Choices(every=0.1)),
+            "shorter than one sample",
+        ),
     ],
     ids=["none", "peer", "horizon", "every"],
 )
@@ -243,14 +290,26 @@ def tested() -> Backtest:
     marked = []
     shown = []
     arx = Arx(Peltier.loop, 1.0)
-    origin_at = {origin.sample: origin for origin in origins([loop], range(59, len(loop), 60), HORIZONS)}
+    origin_at = {
+        origin.sample: origin
+        for origin in origins([loop], range(59, len(loop), 60), HORIZONS)
+    }
     for sample in samples_of(loop):
         arx.push(sample)
         if sample.index in origin_at:
-            for name, forecast in ask(arx.departure(np.zeros(2)), origin_at[sample.index]).items():
+            for name, forecast in ask(
+                arx.departure(np.zeros(2)), origin_at[sample.index]
+            ).items():
                 origin = origin_at[sample.index]
                 forecaster = PEERS[name]
-                marked += mark("loop", forecaster, forecast, origin, horizons=HORIZONS, plant=Peltier)
+                marked += mark(
+                    "loop",
+                    forecaster,
+                    forecast,
+                    origin,
+                    horizons=HORIZONS,
+                    plant=Peltier,
+                )
                 shown.append(forecast)
     return Backtest(
         name="loop",
@@ -282,7 +341,9 @@ def test_the_table_has_everybody_at_every_horizon(tested: Backtest) -> None:
     text = console.export_text()
     assert text.count("persistence") == text.count("ARX") == 2
     for card in tested.cards:
-        assert all(name in text and cell(card) in text for name, cell in card_columns(Peltier))
+        assert all(
+            name in text and cell(card) in text for name, cell in card_columns(Peltier)
+        )
 
 
 def backtest_of(*marked: Marked, horizons: tuple[float, ...] = (60.0,)) -> Backtest:
@@ -300,7 +361,11 @@ def test_cells_are_in_the_units_of_the_plant() -> None:
 
 
 def test_the_sentence_says_how_the_leader_did() -> None:
-    marked = (marked_by(LEADER, 2.0), marked_by("ARX", 5.0), marked_by("persistence", 9.0))
+    marked = (
+        marked_by(LEADER, 2.0),
+        marked_by("ARX", 5.0),
+        marked_by("persistence", 9.0),
+    )
     tested = backtest_of(*marked, horizons=HORIZONS)
     sentence = (
         "60 s ahead, the leader's temperature was off by less than 0.20 °C half of the time, and its band "
@@ -311,7 +376,10 @@ def test_the_sentence_says_how_the_leader_did() -> None:
     at_end = backtest_words(replace(tested, last=last))
     assert at_end == [sentence, "At the end they pass the test of trust 60 s ahead."]
     nowhere = backtest_words(replace(tested, last=replace(last, trusted=())))
-    assert nowhere == [sentence, "At the end they pass the test of trust at no horizon."]
+    assert nowhere == [
+        sentence,
+        "At the end they pass the test of trust at no horizon.",
+    ]
 
 
 def test_json_holds_cards_and_every_forecast(tested: Backtest) -> None:
@@ -320,11 +388,21 @@ def test_json_holds_cards_and_every_forecast(tested: Backtest) -> None:
     assert (read["name"], read["plant"], read["origins"]) == ("loop", "peltier", 9)
     assert read["noise"] == {"output": 0.1, "input": 7.0}
     assert len(read["forecasts"]) == len(tested.marked) == 36
-    errors = [f["error"] for f in read["forecasts"] if (f["who"], f["horizon"]) == ("ARX", 60.0)]
+    errors = [
+        f["error"]
+        for f in read["forecasts"]
+        if (f["who"], f["horizon"]) == ("ARX", 60.0)
+    ]
     card = next(c for c in read["cards"] if (c["who"], c["horizon"]) == ("ARX", 60.0))
     assert card["median"] == pytest.approx(np.median(errors))
     assert card["ratio"] is None
-    assert set(read["forecasts"][0]["output"]) == {"rms", "end", "coverage", "width", "score"}
+    assert set(read["forecasts"][0]["output"]) == {
+        "rms",
+        "end",
+        "coverage",
+        "width",
+        "score",
+    }
     assert "forecasts" not in document(tested, forecasts=False)
 
 
@@ -338,12 +416,17 @@ def test_several_sessions_are_one(tested: Backtest) -> None:
 
 def test_sessions_of_one_name_are_not_mixed_up() -> None:
     """The best in hindsight of each stays its own: ratios of 2 and 4, and not of 2 and 2."""
-    first, second = (backtest_of(marked_by(LEADER, 4.0), marked_by(HINDSIGHT, best)) for best in (2.0, 1.0))
+    first, second = (
+        backtest_of(marked_by(LEADER, 4.0), marked_by(HINDSIGHT, best))
+        for best in (2.0, 1.0)
+    )
     (card, _) = over_all([first, second]).cards
     assert (card.who, card.ratio) == (LEADER, 3.0)
 
 
-def test_the_picture_shows_errors_coverage_and_forecasts(tested: Backtest, tmp_path: Path) -> None:
+def test_the_picture_shows_errors_coverage_and_forecasts(
+    tested: Backtest, tmp_path: Path
+) -> None:
     figure = draw_backtest(tested)
     save(figure, tmp_path / "card.png")
     assert (tmp_path / "card.png").stat().st_size > 30_000
@@ -352,8 +435,16 @@ def test_the_picture_shows_errors_coverage_and_forecasts(tested: Backtest, tmp_p
     for forecaster in ("persistence", "ARX"):
         expected_medians = [c.median for c in tested.cards if c.who == forecaster]
         np.testing.assert_array_equal(np.asarray(medians[forecaster]), expected_medians)
-    assert [t.get_text() for t in coverage.get_xticklabels()] == ["10 s ahead", "60 s ahead"]
-    assert len(output.collections) == len(residual.collections) == len(entry.collections) == len(tested.shown)
+    assert [t.get_text() for t in coverage.get_xticklabels()] == [
+        "10 s ahead",
+        "60 s ahead",
+    ]
+    assert (
+        len(output.collections)
+        == len(residual.collections)
+        == len(entry.collections)
+        == len(tested.shown)
+    )
 
 
 def test_without_a_forecast_the_picture_says_so() -> None:
@@ -372,7 +463,10 @@ def test_the_shipped_session_has_its_report_card(command: Any) -> None:
     assert command.done.stderr == ""
     assert "four_setpoints: 300 s ahead" in command.done.stdout
     assert "best in hindsight" in command.done.stdout
-    assert "300 s ahead, the leader's temperature was off by less than" in command.done.stdout
+    assert (
+        "300 s ahead, the leader's temperature was off by less than"
+        in command.done.stdout
+    )
     assert command.figure.stat().st_size > 50_000
     written = json.loads(command.json.read_text())
     assert written["sessions"] == [json.loads(json.dumps(document(command.tested)))]
@@ -382,7 +476,16 @@ def test_the_shipped_session_has_its_report_card(command: Any) -> None:
 def test_horizons_pace_and_peers_can_be_chosen(still: Path, tmp_path: Path) -> None:
     out = tmp_path / "card.json"
     process = run_twinmatch(
-        "backtest", still, "--every", "20", "--horizon", "30", "5", "--peers", "--json", out
+        "backtest",
+        still,
+        "--every",
+        "20",
+        "--horizon",
+        "30",
+        "5",
+        "--peers",
+        "--json",
+        out,
     )
     assert process.returncode == 0, process.stderr
     written = json.loads(out.read_text())["total"]
@@ -392,7 +495,9 @@ def test_horizons_pace_and_peers_can_be_chosen(still: Path, tmp_path: Path) -> N
 
 
 def test_a_session_that_cannot_be_used_is_skipped(still: Path, tmp_path: Path) -> None:
-    process = run_twinmatch("backtest", still, tmp_path / "absent.mat", "--peers", "persistence")
+    process = run_twinmatch(
+        "backtest", still, tmp_path / "absent.mat", "--peers", "persistence"
+    )
     assert process.returncode == 3
     assert len(process.stderr.strip().splitlines()) == 1
     assert "skipped" in process.stderr

@@ -13,7 +13,13 @@ from hypothesis import strategies as st
 from tests.offline.backtest.forecasts import forecast_of, linear_loop, set_points
 from twinmatch.dynamics import begin, simulate_closed_loop
 from twinmatch.forecasting import HORIZONS, ArxForecast
-from twinmatch.offline.backtest.origins import Origin, SettledStretch, ask, mark, origins
+from twinmatch.offline.backtest.origins import (
+    Origin,
+    SettledStretch,
+    ask,
+    mark,
+    origins,
+)
 from twinmatch.offline.backtest.run import with_constant_band
 from twinmatch.offline.backtest.scoring import (
     HINDSIGHT,
@@ -36,7 +42,15 @@ def nothing_changes(origin: Origin) -> ArxForecast:
     """Who has learned nothing yet."""
     past_window = origin.past
     past = np.array([[past_window.output[-1], past_window.input[-1]]])
-    return ArxForecast(np.zeros((0, 0)), np.zeros(0), past, past[0], np.zeros((1, 2)), None, np.zeros(0))
+    return ArxForecast(
+        np.zeros((0, 0)),
+        np.zeros(0),
+        past,
+        past[0],
+        np.zeros((1, 2)),
+        None,
+        np.zeros(0),
+    )
 
 
 def window(samples: int, first: int = 0, period: float = 1.0) -> Window:
@@ -45,7 +59,10 @@ def window(samples: int, first: int = 0, period: float = 1.0) -> Window:
 
 
 def origins_of(
-    windows: Sequence[Window], verdict_samples: Sequence[int], interval: float, horizons: Sequence[float]
+    windows: Sequence[Window],
+    verdict_samples: Sequence[int],
+    interval: float,
+    horizons: Sequence[float],
 ) -> list[Origin]:
     """As a listener chooses them, sample by sample."""
     chosen = []
@@ -68,13 +85,17 @@ def test_forecasts_begin_at_every_minute_and_every_verdict() -> None:
 
 
 def test_nothing_is_forecast_that_cannot_be_judged() -> None:
-    assert [m.sample for m in origins_of([window(70)], [65, 59, 60], 60.0, HORIZONS)] == [59]
+    assert [
+        m.sample for m in origins_of([window(70)], [65, 59, 60], 60.0, HORIZONS)
+    ] == [59]
     assert origins_of([window(60)], [], 60.0, HORIZONS) == []
 
 
 def test_stretches_are_forecast_by_themselves() -> None:
     """After a gap the past starts over, and no forecast reaches over one."""
-    samples = [Sample(k, k, 50.0, float(k), 0.0) for k in (*range(100), *range(150, 400))]
+    samples = [
+        Sample(k, k, 50.0, float(k), 0.0) for k in (*range(100), *range(150, 400))
+    ]
     windows = [Window.from_samples(stretch, 1.0) for stretch in unbroken(samples)]
     chosen = origins_of(windows, [], 60.0, (10.0, 60.0))
     assert [m.sample for m in chosen] == [59, 209, 269, 329, 389]
@@ -85,16 +106,27 @@ def test_stretches_are_forecast_by_themselves() -> None:
 
 def test_seconds_count_and_not_samples() -> None:
     chosen = origins_of([window(100, period=3.0)], [], 60.0, (10.0, 60.0))
-    assert [(m.sample, m.count) for m in chosen] == [(19, 20), (39, 20), (59, 20), (79, 20)]
+    assert [(m.sample, m.count) for m in chosen] == [
+        (19, 20),
+        (39, 20),
+        (59, 20),
+        (79, 20),
+    ]
     with pytest.raises(BacktestError, match="shorter than one sample"):
         origins_of([window(100, period=3.0)], [], 60.0, (1.0, 60.0))
 
 
-@given(st.integers(20, 500), st.lists(st.integers(0, 600), max_size=20), st.integers(1, 200))
+@given(
+    st.integers(20, 500),
+    st.lists(st.integers(0, 600), max_size=20),
+    st.integers(1, 200),
+)
 def test_past_and_future_meet_and_nothing_is_in_both(
     samples: int, verdict_samples: list[int], interval: int
 ) -> None:
-    for origin in origins_of([window(samples, first=7)], verdict_samples, float(interval), (10.0, 100.0)):
+    for origin in origins_of(
+        [window(samples, first=7)], verdict_samples, float(interval), (10.0, 100.0)
+    ):
         assert origin.past.first == 7
         assert origin.past.last + 1 == origin.came.first
         assert len(origin.came) == len(origin.ahead) == origin.count
@@ -105,14 +137,17 @@ def test_a_forecast_is_marked_at_the_horizons_that_came() -> None:
     loop = linear_loop(set_points(200, 3), np.random.default_rng(3))
     (origin,) = origins([loop], [119], HORIZONS)
     forecast = ask(nothing_changes(origin), origin)["persistence"]
-    marked_horizons = mark("a", "somebody", forecast, origin, horizons=HORIZONS, plant=Peltier)
+    marked_horizons = mark(
+        "a", "somebody", forecast, origin, horizons=HORIZONS, plant=Peltier
+    )
     assert [(m.session, m.sample, m.who, m.horizon) for m in marked_horizons] == [
         ("a", 119, "somebody", 10.0),
         ("a", 119, "somebody", 60.0),
     ]
     perfect = forecast_of(119, loop.output[120:], loop.input[120:])
     assert all(
-        m.marks.error == 0.0 for m in mark("a", "s", perfect, origin, horizons=HORIZONS, plant=Peltier)
+        m.marks.error == 0.0
+        for m in mark("a", "s", perfect, origin, horizons=HORIZONS, plant=Peltier)
     )
 
 
@@ -120,19 +155,25 @@ def test_without_a_band_there_is_no_coverage_and_no_score() -> None:
     loop = linear_loop(set_points(200, 3), np.random.default_rng(3))
     (origin,) = origins([loop], [119], HORIZONS)
     forecast = ask(nothing_changes(origin), origin)["arx"]
-    (card, _) = cards(mark("a", "ARX", forecast, origin, horizons=HORIZONS, plant=Peltier))
+    (card, _) = cards(
+        mark("a", "ARX", forecast, origin, horizons=HORIZONS, plant=Peltier)
+    )
     assert card.median > 0.0
     assert np.isnan([card.coverage_output, card.width_input, card.score]).all()
 
 
-values = st.lists(st.floats(-1e3, 1e3).map(lambda x: round(x, 3)), min_size=1, max_size=40)
+values = st.lists(
+    st.floats(-1e3, 1e3).map(lambda x: round(x, 3)), min_size=1, max_size=40
+)
 ends = st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3)).map(sorted)
 confidences = st.floats(0.05, 0.95)
 
 
 def test_what_lies_outside_an_interval_costs_by_its_distance() -> None:
     """Width 4; 1 below the band and 3 above it cost 2/0.2 = 10 times as much more."""
-    score = interval_score(np.zeros(3), np.full(3, 4.0), np.array([2.0, -1.0, 7.0]), 0.8)
+    score = interval_score(
+        np.zeros(3), np.full(3, 4.0), np.array([2.0, -1.0, 7.0]), 0.8
+    )
     np.testing.assert_allclose(score, [4.0, 14.0, 34.0], rtol=1e-12)
 
 
@@ -144,7 +185,9 @@ def test_no_interval_costs_less_than_the_quantiles(
     x = np.array(came)
     tails = ((1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0)
     low, high = np.quantile(x, tails, method="inverted_cdf")
-    truth = interval_score(np.full(x.size, low), np.full(x.size, high), x, confidence).mean()
+    truth = interval_score(
+        np.full(x.size, low), np.full(x.size, high), x, confidence
+    ).mean()
     cost_of_interval = interval_score(
         np.full(x.size, interval[0]), np.full(x.size, interval[1]), x, confidence
     ).mean()
@@ -177,17 +220,31 @@ def test_a_forecast_of_the_measurements_has_no_error(count: int, seed: int) -> N
     random = np.random.default_rng(seed)
     y = random.normal(50.0, 20.0, count)
     u = random.uniform(-255.0, 255.0, count)
-    (mark,) = marks(forecast_of(0, y, u), Window(y, y, u, first=1), [float(count)], Peltier)
+    (mark,) = marks(
+        forecast_of(0, y, u), Window(y, y, u, first=1), [float(count)], Peltier
+    )
     assert mark.error == mark.output.end == mark.input.end == 0.0
     assert mark.output.coverage == mark.input.coverage == 1.0
 
 
 def test_samples_that_do_not_follow_the_forecast_are_refused() -> None:
     forecast = forecast_of(9, [50.0] * 5, [0.0] * 5)
-    with pytest.raises(BacktestError, match="made at sample 9 cannot be scored from 12 on"):
-        marks(forecast, Window([50.0] * 5, [50.0] * 5, [0.0] * 5, first=12), [5.0], Peltier)
+    with pytest.raises(
+        BacktestError, match="made at sample 9 cannot be scored from 12 on"
+    ):
+        marks(
+            forecast,
+            Window([50.0] * 5, [50.0] * 5, [0.0] * 5, first=12),
+            [5.0],
+            Peltier,
+        )
     with pytest.raises(BacktestError, match="10 s needs 10 samples; only 5"):
-        marks(forecast, Window([50.0] * 20, [50.0] * 20, [0.0] * 20, first=10), [10.0], Peltier)
+        marks(
+            forecast,
+            Window([50.0] * 20, [50.0] * 20, [0.0] * 20, first=10),
+            [10.0],
+            Peltier,
+        )
 
 
 def test_horizons_are_rounded_down_to_whole_samples() -> None:
@@ -198,7 +255,13 @@ def test_horizons_are_rounded_down_to_whole_samples() -> None:
         samples_within(2.0, 3.0)
 
 
-def marked(forecaster: str, sample: int, error: float, horizon: float = 60.0, session: str = "a") -> Marked:
+def marked(
+    forecaster: str,
+    sample: int,
+    error: float,
+    horizon: float = 60.0,
+    session: str = "a",
+) -> Marked:
     signal = SignalMarks(rms=error, end=-error, coverage=0.5, width=2.0, score=3.0)
     return Marked(session, sample, horizon, forecaster, Marks(signal, signal))
 
@@ -211,7 +274,9 @@ def test_a_card_has_the_quantiles_of_its_marks() -> None:
     assert (card.median, card.nine_in_ten) == pytest.approx((5.5, 9.1))
     assert card.ratio == pytest.approx(2.0)
     assert (card.end_output, card.end_input) == pytest.approx((5.5, 5.5))
-    assert (card.coverage_output, card.width_output, card.score) == pytest.approx((0.5, 2.0, 3.0))
+    assert (card.coverage_output, card.width_output, card.score) == pytest.approx(
+        (0.5, 2.0, 3.0)
+    )
 
 
 def test_without_candidates_there_is_no_ratio() -> None:
@@ -226,7 +291,11 @@ def test_sessions_and_horizons_are_kept_apart() -> None:
         marked("leader", 1, 9.0, horizon=300.0),
         marked("leader", 1, 5.0, horizon=10.0),
     ]
-    assert [(c.horizon, c.count) for c in cards(marked_forecasts)] == [(10.0, 1), (60.0, 2), (300.0, 1)]
+    assert [(c.horizon, c.count) for c in cards(marked_forecasts)] == [
+        (10.0, 1),
+        (60.0, 2),
+        (300.0, 1),
+    ]
     assert len(best_in_hindsight(marked_forecasts)) == 4
 
 
@@ -237,13 +306,27 @@ def test_all_are_compared_from_the_same_origins() -> None:
         marked("other", 2, 1.0),
         marked("other", 3, 1.0),
     ]
-    assert [(m.who, m.sample) for m in common(marked_forecasts)] == [("one", 2), ("other", 2)]
+    assert [(m.who, m.sample) for m in common(marked_forecasts)] == [
+        ("one", 2),
+        ("other", 2),
+    ]
 
 
-@given(st.lists(st.lists(st.floats(0.0, 100.0), min_size=3, max_size=3), min_size=1, max_size=20))
+@given(
+    st.lists(
+        st.lists(st.floats(0.0, 100.0), min_size=3, max_size=3), min_size=1, max_size=20
+    )
+)
 def test_nobody_beats_the_best_in_hindsight(errors: list[list[float]]) -> None:
-    marked_forecasts = [marked(f"twin {j}", k, e) for k, row in enumerate(errors) for j, e in enumerate(row)]
-    card_of = {c.who: c for c in cards([*marked_forecasts, *best_in_hindsight(marked_forecasts)])}
+    marked_forecasts = [
+        marked(f"twin {j}", k, e)
+        for k, row in enumerate(errors)
+        for j, e in enumerate(row)
+    ]
+    card_of = {
+        c.who: c
+        for c in cards([*marked_forecasts, *best_in_hindsight(marked_forecasts)])
+    }
     least = np.min(errors, axis=1)
     assert card_of[HINDSIGHT].ratio == 1.0
     assert card_of[HINDSIGHT].median == pytest.approx(np.median(least), rel=1e-12)

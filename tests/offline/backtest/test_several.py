@@ -31,17 +31,26 @@ def heated(samples: int = 900) -> Window:
     rng = np.random.default_rng(5)
     u = np.repeat(rng.uniform(0.0, 60.0, (samples // 50, 2)), 50, axis=0)
     run = simulate_driven(TRUTH, u, states=begin(TRUTH, [23.0, 23.0]), period=2.0)
-    return Window(np.zeros_like(u), run.outputs + 0.1 * rng.standard_normal(u.shape), u, period=2.0)
+    return Window(
+        np.zeros_like(u),
+        run.outputs + 0.1 * rng.standard_normal(u.shape),
+        u,
+        period=2.0,
+    )
 
 
 def session(window: Window, plant: str) -> Session:
-    return session_of(Path("two.csv"), tuple(samples_of(window)), plant=plant, has_reference=False)
+    return session_of(
+        Path("two.csv"), tuple(samples_of(window)), plant=plant, has_reference=False
+    )
 
 
 def ends(tested: Backtest, forecaster: str, horizon: float) -> dict[int, float]:
     """Errors at the horizon by origin, in units of the noise."""
     return {
-        m.sample: m.marks.output.end for m in tested.marked if (m.who, m.horizon) == (forecaster, horizon)
+        m.sample: m.marks.output.end
+        for m in tested.marked
+        if (m.who, m.horizon) == (forecaster, horizon)
     }
 
 
@@ -51,15 +60,25 @@ def test_a_known_plant_is_forecast_to_its_noise() -> None:
     choices = Choices(every=20.0, horizons=(20.0, 100.0))
     first, second = backtest(session(heated(), Heaters.name), terms, choices)
     assert [tested.name for tested in (first, second)] == ["two, first", "two, second"]
-    assert [list(tested.plant.drives) for tested in (first, second)] == [["first_power"], ["second_power"]]
+    assert [list(tested.plant.drives) for tested in (first, second)] == [
+        ["first_power"],
+        ["second_power"],
+    ]
     for tested in (first, second):
         assert tested.last is not None
         assert tested.last.chosen is not None
         for horizon in (20.0, 100.0):
-            leader_ends = [end for k, end in ends(tested, LEADER, horizon).items() if k >= MATCHED]
-            assert np.std(leader_ends) == pytest.approx(1.0, abs=0.4)  # of 30: 3 standard errors are 0.39
+            leader_ends = [
+                end for k, end in ends(tested, LEADER, horizon).items() if k >= MATCHED
+            ]
+            # of 30: 3 standard errors are 0.39
+            assert np.std(leader_ends) == pytest.approx(1.0, abs=0.4)
             cards = {card.who: card for card in tested.cards if card.horizon == horizon}
-            assert cards[LEADER].median < cards[PEERS["arx"]].median < cards[PEERS["persistence"]].median
+            assert (
+                cards[LEADER].median
+                < cards[PEERS["arx"]].median
+                < cards[PEERS["persistence"]].median
+            )
             assert 0.8 < cards[LEADER].coverage_output < 0.99
 
 
@@ -74,10 +93,19 @@ def test_the_command_shows_every_output(tmp_path: Path) -> None:
     card = tmp_path / "card.json"
     write_session(path, samples_of(Window(np.zeros_like(u), y, u)), records=records)
     process = run_twinmatch(
-        "backtest", path, "--json", card, "--figure", tmp_path / "card.png", "--horizon", 60
+        "backtest",
+        path,
+        "--json",
+        card,
+        "--figure",
+        tmp_path / "card.png",
+        "--horizon",
+        60,
     )
     assert process.returncode == 0, process.stderr
-    assert "60 s ahead, the leader's temperature T2 was off by less than" in process.stdout
+    assert (
+        "60 s ahead, the leader's temperature T2 was off by less than" in process.stdout
+    )
     document = json.loads(card.read_text("utf-8"))
     names = ["kit, temperature", "kit, second_temperature"]
     assert [entry["name"] for entry in document["sessions"]] == names
@@ -94,10 +122,14 @@ def test_a_real_kit_is_forecast_better_than_by_arx() -> None:
     u = np.array([[row["Q1"], row["Q2"]] for row in rows])
     kit_session = session(Window(np.zeros_like(y), y, u), TCLabBoth.name)
     terms = Terms(TwinSettings.of(TCLabBoth, law=None))
-    tests = backtest(kit_session, terms, Choices(every=20.0, horizons=(10.0, 60.0, 300.0)))
+    tests = backtest(
+        kit_session, terms, Choices(every=20.0, horizons=(10.0, 60.0, 300.0))
+    )
 
     def rms(forecaster: str, horizon: float) -> float:
-        errors = np.array([list(ends(tested, forecaster, horizon).values()) for tested in tests])
+        errors = np.array(
+            [list(ends(tested, forecaster, horizon).values()) for tested in tests]
+        )
         return float(TCLabBoth.temperature.noise * np.sqrt(np.mean(np.square(errors))))
 
     assert rms(LEADER, 60.0) < 0.95 * rms(PEERS["arx"], 60.0)

@@ -13,8 +13,12 @@ from typing import Any, NamedTuple
 
 import pytest
 
-pytest.importorskip("foxglove", reason="foxglove-sdk is not installed; it is in the extra 'foxglove'")
-pytest.importorskip("websockets", reason="websockets is not installed; it is in the extra 'test'")
+pytest.importorskip(
+    "foxglove", reason="foxglove-sdk is not installed; it is in the extra 'foxglove'"
+)
+pytest.importorskip(
+    "websockets", reason="websockets is not installed; it is in the extra 'test'"
+)
 
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
@@ -38,7 +42,9 @@ class Viewer:
 
     def __init__(self, url: str) -> None:
         self._open = ExitStack()
-        self._socket = self._open.enter_context(connect(url, subprotocols=[PROTOCOL], max_size=None))
+        self._socket = self._open.enter_context(
+            connect(url, subprotocols=[PROTOCOL], max_size=None)
+        )
         self.info: dict[str, Any] = {}
         self.channels: dict[str, dict[str, Any]] = {}
         self.messages: list[Arrived] = []
@@ -60,7 +66,9 @@ class Viewer:
             self.info = greeting
             self.sessions.append(greeting["sessionId"])
         elif greeting["op"] == "advertise":
-            self.channels |= {channel["topic"]: channel for channel in greeting["channels"]}
+            self.channels |= {
+                channel["topic"]: channel for channel in greeting["channels"]
+            }
         return True
 
     def _read_data(self, frame: bytes) -> None:
@@ -81,7 +89,10 @@ class Viewer:
 
     def subscribe(self, *topics: str) -> None:
         """Subscribe to topics, waiting until they are offered."""
-        self.wait(lambda: set(topics) <= set(self.channels), f"{topics} among {sorted(self.channels)}")
+        self.wait(
+            lambda: set(topics) <= set(self.channels),
+            f"{topics} among {sorted(self.channels)}",
+        )
         wanted = []
         for topic in topics:
             number = len(self._topics) + 1
@@ -118,6 +129,8 @@ def view() -> Iterator[Callable[[str], Viewer]]:
 def serve(ros: None, tmp_path: Path) -> Iterator[Callable[..., Process]]:  # noqa: ARG001
     """Start a server: `serve("--namespace", "/rig_a")`; it ends with the test, and cleanly."""
     processes = Processes(tmp_path / "servers")
-    yield lambda *options: processes.python("-m", "twinmatch.cli", "foxglove", "--port", "0", *options)
+    yield lambda *options: processes.python(
+        "-m", "twinmatch.cli", "foxglove", "--port", "0", *options
+    )
     ended = processes.end(signal.SIGINT)
     assert all(code == 0 and "Traceback" not in text for code, text in ended), ended

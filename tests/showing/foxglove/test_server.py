@@ -18,7 +18,9 @@ from twinmatch.showing.foxglove.node import BACKLOG, GraphServer, StreamTime
 from twinmatch.showing.foxglove.relay import MAX_TOLD, hidden_address
 from twinmatch.showing.serving import Hosts, ServingError
 
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
 
 from tests.showing.foxglove.conftest import PROTOCOL
 from tests.support.odd_requests import odd_requests
@@ -62,7 +64,9 @@ def test_a_topic_is_offered_with_its_definition_and_its_bytes_arrive_as_they_wer
     assert viewer.messages == [("/a", 123, number(1.5))]
 
 
-def test_nothing_can_be_sent_through_it(server: GraphServer, view: Callable[[str], Any]) -> None:
+def test_nothing_can_be_sent_through_it(
+    server: GraphServer, view: Callable[[str], Any]
+) -> None:
     viewer = view(server.url)
     viewer.wait(lambda: viewer.info, "the server's greeting")
     assert viewer.info["capabilities"] == ["time"]
@@ -100,7 +104,9 @@ def test_another_kind_of_time_is_another_session_that_begins_with_what_was_said_
     viewer.wait(lambda: server.viewers == 1, "the subscription")
     server.send("/a", number(1.0), 10)
     server.reset(5)
-    viewer.wait(lambda: len(set(viewer.sessions)) == 2 and viewer.times, "another session")
+    viewer.wait(
+        lambda: len(set(viewer.sessions)) == 2 and viewer.times, "another session"
+    )
     assert viewer.times == [5]
     server.repeat(5)
     viewer.wait(lambda: len(viewer.messages) == 2, "the message again")
@@ -117,7 +123,10 @@ def test_a_viewer_that_does_not_keep_up_loses_the_oldest_and_holds_nobody_back(
     many = 3 * BACKLOG
     for k in range(many):
         server.send("/a", number(k) + bytes(20_000), k)
-    viewer.wait(lambda: viewer.messages and viewer.messages[-1].stamp == many - 1, "the newest message")
+    viewer.wait(
+        lambda: viewer.messages and viewer.messages[-1].stamp == many - 1,
+        "the newest message",
+    )
     stamps = [message.stamp for message in viewer.messages]
     assert stamps == sorted(stamps)
     assert len(stamps) < many
@@ -141,8 +150,14 @@ def test_a_viewer_that_does_not_keep_up_loses_the_oldest_and_holds_nobody_back(
 def test_a_foreign_name_or_page_is_refused(
     name: str, origin: str | None, let_in: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    server = GraphServer("rig", "127.0.0.1", 0, Hosts.of("127.0.0.1", ["viewer.example"]))
-    headers = (*UPGRADE, f"Sec-WebSocket-Protocol: {PROTOCOL}", *([f"Origin: {origin}"] if origin else []))
+    server = GraphServer(
+        "rig", "127.0.0.1", 0, Hosts.of("127.0.0.1", ["viewer.example"])
+    )
+    headers = (
+        *UPGRADE,
+        f"Sec-WebSocket-Protocol: {PROTOCOL}",
+        *([f"Origin: {origin}"] if origin else []),
+    )
     for _ in range(3):
         status, why = ask(server.url, "/", *headers, host=name or None)
         assert status == (101 if let_in else 403)
@@ -151,7 +166,9 @@ def test_a_foreign_name_or_page_is_refused(
     assert capsys.readouterr().out == ("" if let_in else f"foxglove: refused: {why}")
 
 
-def test_what_is_behind_it_has_an_address_that_no_page_can_guess(server: GraphServer) -> None:
+def test_what_is_behind_it_has_an_address_that_no_page_can_guess(
+    server: GraphServer,
+) -> None:
     assert server.url.startswith("ws://127.0.0.1:")
     assert len({hidden_address() for _ in range(50)}) == 50
     with socket.socket() as elsewhere:  # nothing of the SDK listens there
@@ -170,26 +187,29 @@ def test_odd_requests_end_nothing_and_print_nothing_but_refusals(
     assert printed.err == ""
     assert 0 < len(printed.out.splitlines()) <= MAX_TOLD
     assert all(
-        line.startswith("foxglove: refused: ") and line.isprintable() for line in printed.out.splitlines()
+        line.startswith("foxglove: refused: ") and line.isprintable()
+        for line in printed.out.splitlines()
     )
 
 
 def test_a_port_that_is_taken_is_one_clear_line(server: GraphServer) -> None:
     port = int(server.url.rsplit(":", 1)[1])
-    line = (
-        rf"^foxglove: 127\.0\.0\.1:{port} cannot be used: Address already in use; choose another with --port"
-    )
+    line = rf"^foxglove: 127\.0\.0\.1:{port} cannot be used: Address already in use; choose another with --port"
     with pytest.raises(ServingError, match=line):
         GraphServer("rig", "127.0.0.1", port)
 
 
-def test_time_is_that_of_the_clock_and_stands_after_it_until_another_graph_has_samples() -> None:
+def test_time_is_that_of_the_clock_and_stands_after_it_until_another_graph_has_samples() -> (
+    None
+):
     stream = StreamTime()
     assert not stream.on_sample(0.5, clock=False)
-    assert abs(stream.now - time.time_ns()) < 10**10  # without a clock it is that of the wall
+    # without a clock it is that of the wall
+    assert abs(stream.now - time.time_ns()) < 10**10
     assert stream.on_clock(6, 0.9)
     assert not stream.on_clock(7, 1.0)
-    assert not stream.on_sample(2.0, clock=False)  # still on its way when the clock ended
+    # still on its way when the clock ended
+    assert not stream.on_sample(2.0, clock=False)
     assert not stream.on_sample(9.0, clock=True)  # the clock is there but slow
     assert stream.now == 7
     assert stream.on_sample(9.0, clock=False)
@@ -210,7 +230,7 @@ def field_type(path: str) -> str:
     topic = path.split(".", maxsplit=1)[0]
     kind = KINDS[topic].replace("/msg/", "/")
     for name in path.removeprefix(topic).strip(".").split("."):
-        name, _, element = name.partition("[")  # noqa: PLW2901 (the index is not part of the name)
+        name, _, element = name.partition("[")  # noqa: PLW2901
         if name:
             package, short = re.sub(r"^sequence<|>$|\[\d*\]$", "", kind).split("/")
             message = getattr(importlib.import_module(f"{package}.msg"), short)
@@ -265,7 +285,8 @@ def test_a_plant_with_several_loops_has_a_column_of_charts_for_each(loops: int) 
         assert panels[f"Plot!input{ending}"]["yAxisLabel"] == f"inputs {k} / %"
         paths = [path["value"] for path in panels[f"Plot!residuals{ending}"]["paths"]]
         assert paths == [
-            f"/twin/state.{name}[{k}]" for name in ("closed_residual_y", "driven_residual_y", "driven_rms_y")
+            f"/twin/state.{name}[{k}]"
+            for name in ("closed_residual_y", "driven_residual_y", "driven_rms_y")
         ]
     charts = places["first"]
     shares = []
@@ -282,10 +303,13 @@ def test_what_is_plotted_is_a_number_with_a_stamp_and_a_colour_of_its_own() -> N
     for panel in panels("Plot"):
         for path in panel["paths"]:
             assert NUMBER.fullmatch(field_type(path["value"])), path
-            assert field_type(path["value"].split(".")[0] + ".header") == "std_msgs/Header"
+            assert (
+                field_type(path["value"].split(".")[0] + ".header") == "std_msgs/Header"
+            )
             assert path["enabled"]
             assert path["timestampMethod"] == "headerStamp"
-        if panel["xAxisVal"] == "currentCustom":  # the newest message over one of its own lists
+        if panel["xAxisVal"] == "currentCustom":
+            # the newest message over one of its own lists
             assert NUMBER.fullmatch(field_type(panel["xAxisPath"]["value"])), panel
         assert len({path["color"] for path in panel["paths"]}) == len(panel["paths"])
 
@@ -293,12 +317,20 @@ def test_what_is_plotted_is_a_number_with_a_stamp_and_a_colour_of_its_own() -> N
 def test_the_plots_show_plant_twin_set_point_control_and_residuals() -> None:
     shown = {path["value"] for panel in panels("Plot") for path in panel["paths"]}
     measured = {f"/plant/sample.{name}[0]" for name in ("output", "reference", "input")}
-    twin = {f"/twin/state.{name}[0]" for name in ("closed_output", "driven_residual_y", "closed_residual_u")}
-    assert measured | twin | {"/twin/forecast.output_low[:]", "/twin/forecast.input[:]"} <= shown
+    twin = {
+        f"/twin/state.{name}[0]"
+        for name in ("closed_output", "driven_residual_y", "closed_residual_u")
+    }
+    assert (
+        measured | twin | {"/twin/forecast.output_low[:]", "/twin/forecast.input[:]"}
+        <= shown
+    )
 
 
 def test_the_other_panels_look_at_what_there_is() -> None:
-    assert [panel["imageMode"]["imageTopic"] for panel in panels("Image")] == ["/thermal/image"]
+    assert [panel["imageMode"]["imageTopic"] for panel in panels("Image")] == [
+        "/thermal/image"
+    ]
     assert KINDS["/thermal/image"] == "sensor_msgs/msg/Image"
     for panel in panels("StateTransitions"):
         assert all(field_type(path["value"]) == "string" for path in panel["paths"])
@@ -315,13 +347,17 @@ def test_the_light_knows_every_level() -> None:
 
     [light] = panels("Indicator")
     assert field_type(light["path"]) == "string"
-    assert {rule["rawValue"] for rule in light["rules"]} == {level.value for level in TrustLevel}
+    assert {rule["rawValue"] for rule in light["rules"]} == {
+        level.value for level in TrustLevel
+    }
 
 
 def test_the_topics_are_those_of_the_subscribers_page() -> None:
     page = (PROJECT / "docs" / "subscribing.md").read_text("utf-8")
     documented = dict(re.findall(r"^\| `(\S+)` \| `(\w+/\w+)` \|", page, re.MULTILINE))
-    offered = {name: kind.replace("/msg/", "/") for name, kind in (TOPICS | OUTSIDE).items()}
-    assert documented.items() - {("/clock", "rosgraph_msgs/Clock")} == offered.items() - {
-        ("/rosout", "rcl_interfaces/Log")
+    offered = {
+        name: kind.replace("/msg/", "/") for name, kind in (TOPICS | OUTSIDE).items()
     }
+    assert documented.items() - {
+        ("/clock", "rosgraph_msgs/Clock")
+    } == offered.items() - {("/rosout", "rcl_interfaces/Log")}

@@ -39,12 +39,19 @@ def judged(steps: list[Sample]) -> Judgement:
 
 
 @pytest.fixture(scope="module")
-def page_process(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Process]]:  # noqa: ARG001
+def page_process(
+    ros: None,  # noqa: ARG001
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[Callable[..., Process]]:
     """Start a page: `page_process("--control")`; it ends with the module."""
     processes = Processes(tmp_path_factory.mktemp("pages"))
-    yield lambda *options: processes.python("-m", "twinmatch.cli", "dashboard", "--port", "0", *options)
+    yield lambda *options: processes.python(
+        "-m", "twinmatch.cli", "dashboard", "--port", "0", *options
+    )
     ended = processes.end()
-    assert all(Process.well(code) and "Traceback" not in text for code, text in ended), ended
+    assert all(
+        Process.well(code) and "Traceback" not in text for code, text in ended
+    ), ended
 
 
 class Browser:
@@ -56,13 +63,17 @@ class Browser:
 
         options = webdriver.ChromeOptions()
         options.binary_location = str(shutil.which("chromium"))
-        flags = "--window-size=1440,1000 --js-flags=--expose-gc --disable-quic --headless"
+        flags = (
+            "--window-size=1440,1000 --js-flags=--expose-gc --disable-quic --headless"
+        )
         names = f"MAP {FOREIGN} 127.0.0.1, MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE localhost"
         alone = f"--host-resolver-rules={names}"
         for flag in (*flags.split(), *CHROMIUM, alone, f"--user-data-dir={profile}"):
             options.add_argument(flag)
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-        self.driver = webdriver.Chrome(options=options, service=Service(str(shutil.which("chromedriver"))))
+        self.driver = webdriver.Chrome(
+            options=options, service=Service(str(shutil.which("chromedriver")))
+        )
         self.driver.set_script_timeout(PATIENCE)
 
     def wait_for(self, condition: Callable[[], Any], what: str) -> Any:
@@ -74,7 +85,10 @@ class Browser:
 
     def open(self, url: str) -> None:
         self.driver.get(url)
-        self.wait_for(lambda: self.run("return window.Bokeh && Bokeh.documents.length == 1"), "the document")
+        self.wait_for(
+            lambda: self.run("return window.Bokeh && Bokeh.documents.length == 1"),
+            "the document",
+        )
         self.wait_for(lambda: "what to do" in self.text, "the first text")
 
     @property
@@ -96,7 +110,12 @@ class Browser:
         """
         for width, height in sizes:
             is_telephone = width < 600
-            window = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": is_telephone}
+            window = {
+                "width": width,
+                "height": height,
+                "deviceScaleFactor": 1,
+                "mobile": is_telephone,
+            }
             self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", window)
             if is_telephone:
                 self.open(self.driver.current_url)
@@ -121,7 +140,9 @@ class Browser:
 
     def click(self, label: str) -> None:
         """Click a button as soon as it can be: the page may just be drawing it again."""
-        from selenium.common.exceptions import ElementClickInterceptedException as Covered
+        from selenium.common.exceptions import (
+            ElementClickInterceptedException as Covered,
+        )
         from selenium.common.exceptions import ElementNotInteractableException as Hidden
         from selenium.common.exceptions import StaleElementReferenceException as Gone
 
@@ -156,11 +177,17 @@ class Browser:
 
     def warnings(self) -> list[str]:
         """Errors in the console since the last look."""
-        return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
+        return [
+            entry["message"]
+            for entry in self.driver.get_log("browser")
+            if entry["level"] == "SEVERE"
+        ]
 
     def elsewhere(self, url: str) -> list[str]:
         """What the page loaded from somewhere else."""
-        names = self.run("return performance.getEntriesByType('resource').map((e) => e.name)")
+        names = self.run(
+            "return performance.getEntriesByType('resource').map((e) => e.name)"
+        )
         own_beginnings = (url, url.replace("http", "ws"), "data:", "blob:")
         return [name for name in names if not name.startswith(own_beginnings)]
 
@@ -168,10 +195,14 @@ class Browser:
 @pytest.fixture(scope="session")
 def opened_browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     """One for all pages: to start it takes longer than to load a page."""
-    pytest.importorskip("selenium", reason="selenium is not installed; it is in the extra 'test'")
+    pytest.importorskip(
+        "selenium", reason="selenium is not installed; it is in the extra 'test'"
+    )
     for program in ("chromium", "chromedriver"):
         if shutil.which(program) is None:
-            pytest.skip(f"{program} is not installed: apt-get install chromium chromium-driver")
+            pytest.skip(
+                f"{program} is not installed: apt-get install chromium chromium-driver"
+            )
     opened = Browser(tmp_path_factory.mktemp("profile"))
     yield opened
     opened.driver.quit()

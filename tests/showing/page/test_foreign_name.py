@@ -11,8 +11,12 @@ from urllib.parse import urlsplit
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
-pytest.importorskip("foxglove", reason="foxglove-sdk is not installed; it is in the extra 'foxglove'")
+pytest.importorskip(
+    "bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'"
+)
+pytest.importorskip(
+    "foxglove", reason="foxglove-sdk is not installed; it is in the extra 'foxglove'"
+)
 
 from tests.showing.page.conftest import FOREIGN
 from tests.support.sockets import page_token
@@ -27,9 +31,7 @@ const made = new WebSocket(url, protocols);
 made.onopen = () => { made.close(); done('open') };
 made.onerror = () => done('refused');
 """
-FETCH = (
-    "const done = arguments[1]; fetch(arguments[0]).then(async (a) => done(await a.text()), () => done(null))"
-)
+FETCH = "const done = arguments[1]; fetch(arguments[0]).then(async (a) => done(await a.text()), () => done(null))"
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +63,9 @@ def named(url: str, name: str) -> str:
     return url.replace("127.0.0.1", name)
 
 
-def test_a_foreign_name_gets_403_and_nothing_of_the_page(page: Any, browser: Any) -> None:
+def test_a_foreign_name_gets_403_and_nothing_of_the_page(
+    page: Any, browser: Any
+) -> None:
     foreign = named(page.url, FOREIGN)
     for path in ("", "static/js/bokeh.min.js"):
         browser.driver.get(foreign + path)
@@ -70,7 +74,12 @@ def test_a_foreign_name_gets_403_and_nothing_of_the_page(page: Any, browser: Any
         assert "Bokeh" not in browser.driver.page_source
     # The same origin, as the browser sees it, so that only the server can refuse it.
     socket = foreign.replace("http", "ws") + "ws"
-    assert browser.driver.execute_async_script(SOCKET, socket, ["bokeh", page_token(page.url)]) == "refused"
+    assert (
+        browser.driver.execute_async_script(
+            SOCKET, socket, ["bokeh", page_token(page.url)]
+        )
+        == "refused"
+    )
     text = browser.driver.execute_async_script(FETCH, foreign)
     assert "does not answer under the name" in text
 
@@ -84,11 +93,16 @@ def test_a_page_of_another_site_gets_neither_token_nor_websocket(
     for name in ("127.0.0.1", FOREIGN):
         socket = named(page.url, name).replace("http", "ws") + "ws"
         assert (
-            browser.driver.execute_async_script(SOCKET, socket, ["bokeh", page_token(page.url)]) == "refused"
+            browser.driver.execute_async_script(
+                SOCKET, socket, ["bokeh", page_token(page.url)]
+            )
+            == "refused"
         )
 
 
-def test_this_machine_gets_the_page_and_its_websocket_by_name_too(page: Any, browser: Any) -> None:
+def test_this_machine_gets_the_page_and_its_websocket_by_name_too(
+    page: Any, browser: Any
+) -> None:
     """By its address 127.0.0.1 all other tests in a browser open it."""
     browser.open(named(page.url, "localhost"))
     socket = named(page.url, "localhost").replace("http", "ws") + "ws"
@@ -96,18 +110,28 @@ def test_this_machine_gets_the_page_and_its_websocket_by_name_too(page: Any, bro
     assert browser.driver.execute_async_script(SOCKET, socket, protocols) == "open"
     assert browser.run(STATUS) == 200
     assert browser.button("Output off") is not None
-    browser.wait_for(lambda: "waiting for the first sample" in browser.text, "what comes by the websocket")
+    browser.wait_for(
+        lambda: "waiting for the first sample" in browser.text,
+        "what comes by the websocket",
+    )
 
 
-def test_the_viewers_server_opens_for_local_pages_alone(page: Any, browser: Any, elsewhere: str) -> None:
+def test_the_viewers_server_opens_for_local_pages_alone(
+    page: Any, browser: Any, elsewhere: str
+) -> None:
     server = GraphServer("rig", "127.0.0.1", 0)
     viewer = ["foxglove.sdk.v1"]
     outcomes = {}
-    for place in (page.url + "metrics", elsewhere):  # a text of the same server, which is loaded sooner
+    for place in (page.url + "metrics", elsewhere):
+        # a text of the same server, which is loaded sooner
         browser.driver.get(place)
         for name in ("127.0.0.1", FOREIGN):
-            outcome = browser.driver.execute_async_script(SOCKET, named(server.url, name), viewer)
+            outcome = browser.driver.execute_async_script(
+                SOCKET, named(server.url, name), viewer
+            )
             outcomes[urlsplit(place).hostname, name] = outcome
     server.close()
-    assert [key for key, outcome in outcomes.items() if outcome == "open"] == [("127.0.0.1", "127.0.0.1")]
+    assert [key for key, outcome in outcomes.items() if outcome == "open"] == [
+        ("127.0.0.1", "127.0.0.1")
+    ]
     assert len(outcomes) == 4

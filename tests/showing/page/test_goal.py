@@ -8,8 +8,12 @@ import math
 import numpy as np
 import pytest
 
-pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
-pytest.importorskip("paho", reason="paho is not installed; it is in the extra 'outlets'")
+pytest.importorskip(
+    "bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'"
+)
+pytest.importorskip(
+    "paho", reason="paho is not installed; it is in the extra 'outlets'"
+)
 pytest.importorskip("prometheus_client", reason="it is in the extra 'outlets'")
 
 from tests.showing.page.test_metrics import number_key, numbers
@@ -52,13 +56,17 @@ def outlook() -> Outlook:
     return forecaster().outlook()
 
 
-def test_a_twin_is_asked_under_what_stands_and_under_both_ends_of_the_drive(outlook: Outlook) -> None:
+def test_a_twin_is_asked_under_what_stands_and_under_both_ends_of_the_drive(
+    outlook: Outlook,
+) -> None:
     answer = answer_of(Goal(8.0), outlook)
     assert answer.held == NEVER
     assert answer.move == 10.0
     now = outlook.sample.output
     # From there to 7.9 m, a tolerance of ten times the noise, on the way to 20 m.
-    assert answer.moved.expected == pytest.approx(50.0 * np.log((20.0 - now) / 12.1), abs=1.5)
+    assert answer.moved.expected == pytest.approx(
+        50.0 * np.log((20.0 - now) / 12.1), abs=1.5
+    )
     assert math.isnan(answer.begin)
     assert answer_of(Goal(-3.0), outlook).move == -10.0
 
@@ -69,12 +77,17 @@ def test_one_begins_as_much_before_as_the_latest_edge_of_the_band_takes() -> Non
     assert answer.move == 100.0
     assert answer.begin == pytest.approx(seconds_until("23:59", MORNING) - 700.0)
     assert math.isnan(GoalAnswer(goal, NEVER, 100.0, NEVER, MORNING).begin)
-    assert math.isnan(GoalAnswer(goal, NEVER, 100.0, SOON, 5).begin)  # samples without a date
+    # samples without a date
+    assert math.isnan(GoalAnswer(goal, NEVER, 100.0, SOON, 5).begin)
 
 
 @pytest.mark.parametrize(
     ("level", "by", "message"),
-    [(math.nan, "", "finite level"), (60.0, "soon", "is not a time"), (60.0, "+60", "a time of day")],
+    [
+        (math.nan, "", "finite level"),
+        (60.0, "soon", "is not a time"),
+        (60.0, "+60", "a time of day"),
+    ],
 )
 def test_what_is_not_a_goal_is_refused(level: float, by: str, message: str) -> None:
     with pytest.raises(ClockTimeError, match=message):
@@ -87,7 +100,9 @@ def test_it_is_on_the_page_a_metric_and_an_entity() -> None:
     assert number_key("reach_seconds", "60", "moved", "latest") not in numbers(state)
     before = messages_of(state, "rig", "Rig")
     assert not any("reached" in topic for topic in before)
-    state.push_goal(GoalAnswer(Goal(60.0, "23:59"), Moment(None, 900.0, None), 60.0, SOON, MORNING))
+    state.push_goal(
+        GoalAnswer(Goal(60.0, "23:59"), Moment(None, 900.0, None), 60.0, SOON, MORNING)
+    )
     shown = panels.goal(state)
     assert "60 °C: in 600 s (540 to 700) with 60 from now on" in shown
     assert "to be there by 23:59: begin in " in shown
@@ -99,9 +114,15 @@ def test_it_is_on_the_page_a_metric_and_an_entity() -> None:
     messages = messages_of(state, "rig", "Rig")
     document = json.loads(messages["twinmatch/rig/state"])
     assert document["reach"] == 60.0
-    assert document["reached_if_moved"] == {"expected": 600.0, "earliest": 540.0, "latest": 700.0}
+    assert document["reached_if_moved"] == {
+        "expected": 600.0,
+        "earliest": 540.0,
+        "latest": 700.0,
+    }
     assert document["begin"] > 0
-    config = json.loads(messages["homeassistant/sensor/twinmatch_rig_reached_if_moved/config"])
+    config = json.loads(
+        messages["homeassistant/sensor/twinmatch_rig_reached_if_moved/config"]
+    )
     assert config["name"] == "60 °C if begun now in"
     assert config["unit_of_measurement"] == "s"
     assert config["value_template"] == "{{ value_json.reached_if_moved.expected }}"

@@ -18,7 +18,9 @@ import numpy as np
 import pytest
 from jinja2 import Environment, StrictUndefined
 
-pytest.importorskip("paho", reason="paho-mqtt is not installed; it is in the extra 'outlets'")
+pytest.importorskip(
+    "paho", reason="paho-mqtt is not installed; it is in the extra 'outlets'"
+)
 
 from paho.mqtt.client import Client, MQTTMessage
 
@@ -96,7 +98,9 @@ def telling(broker: RunningBroker, rig: str = "") -> Iterator[MqttOutlet]:
         outlet.close()
 
 
-def state_with_forecast(described: Description | None = None, sample: int = 300) -> DashboardState:
+def state_with_forecast(
+    described: Description | None = None, sample: int = 300
+) -> DashboardState:
     """A trusted leader, 60 s ahead: at 10, 60 and 300 s the k-th output is at 45.1, 45.6 and 48.0, plus k."""
     described = described or description_of(Peltier)
     state = DashboardState(described=described)
@@ -105,10 +109,22 @@ def state_with_forecast(described: Description | None = None, sample: int = 300)
     state.push_verdict(with_bands())
     time = np.arange(1.0, 301.0)
     course = 45.0 + 0.01 * time
-    bands = [Band(course + k, course + k - 1.0, course + k + 2.0) for k in range(outputs + inputs)]
+    bands = [
+        Band(course + k, course + k - 1.0, course + k + 2.0)
+        for k in range(outputs + inputs)
+    ]
     asked = np.full((300, references), 50.0)
     state.push_forecast(
-        Forecast(sample, "twin", "", 0.9, time, asked, tuple(bands[:outputs]), tuple(bands[outputs:]))
+        Forecast(
+            sample,
+            "twin",
+            "",
+            0.9,
+            time,
+            asked,
+            tuple(bands[:outputs]),
+            tuple(bands[outputs:]),
+        )
     )
     state.sentence = "Leader: twin; trust it 10 and 60 s ahead."
     return state
@@ -116,7 +132,9 @@ def state_with_forecast(described: Description | None = None, sample: int = 300)
 
 def with_bands(**more: Any) -> Verdict:
     score = replace(LED.forecasts[0], coverage=(0.9, 0.875, math.nan))
-    return replace(LED, horizons=HORIZONS, trusted=(10.0, 60.0), forecasts=(score,), **more)
+    return replace(
+        LED, horizons=HORIZONS, trusted=(10.0, 60.0), forecasts=(score,), **more
+    )
 
 
 def test_late_subscribers_receive_the_whole_state(broker: RunningBroker) -> None:
@@ -125,7 +143,9 @@ def test_late_subscribers_receive_the_whole_state(broker: RunningBroker) -> None
         with subscribed(broker) as early:
             early.await_that(lambda: STATE in early.payloads, "the state")
         with subscribed(broker) as late:
-            late.await_that(lambda: {STATE, STATUS} <= late.payloads.keys(), "the state")
+            late.await_that(
+                lambda: {STATE, STATUS} <= late.payloads.keys(), "the state"
+            )
             assert {STATE, STATUS} <= late.retained
             assert late.payloads[STATUS] == "online"
             assert late.json(STATE) == {
@@ -154,14 +174,18 @@ def test_only_what_has_changed_is_published(broker: RunningBroker) -> None:
         outlet.tell(state)
         outlet.tell(state)
         subscriber.await_that(
-            lambda: STATE in subscriber.payloads and subscriber.json(STATE)["sample"] == 301,
+            lambda: (
+                STATE in subscriber.payloads and subscriber.json(STATE)["sample"] == 301
+            ),
             "the second state",
         )
         assert subscriber.counts.pop(STATE) == 2
         assert set(subscriber.counts.values()) == {1}
 
 
-def test_without_a_plant_nothing_is_published_and_another_plant_is_another_rig(broker: RunningBroker) -> None:
+def test_without_a_plant_nothing_is_published_and_another_plant_is_another_rig(
+    broker: RunningBroker,
+) -> None:
     state = DashboardState()
     with subscribed(broker) as subscriber, telling(broker) as outlet:
         assert outlet.tell(state) == ""
@@ -169,7 +193,12 @@ def test_without_a_plant_nothing_is_published_and_another_plant_is_another_rig(b
         outlet.tell(state)
         subscriber.await_that(lambda: STATE in subscriber.payloads, "the first plant")
         first = subscriber.json(STATE)
-        assert (first["level"], first["ahead"], first["forecast"], first["coverage"]) == (
+        assert (
+            first["level"],
+            first["ahead"],
+            first["forecast"],
+            first["coverage"],
+        ) == (
             "unknown",
             None,
             {},
@@ -177,14 +206,21 @@ def test_without_a_plant_nothing_is_published_and_another_plant_is_another_rig(b
         )
         state.describe(description_of(TCLabBoth))
         outlet.tell(state)
-        subscriber.await_that(lambda: "twinmatch/tclab-both/state" in subscriber.payloads, "the second plant")
-        subscriber.await_that(lambda: subscriber.payloads[STATUS] == "offline", "the end of the first")
+        subscriber.await_that(
+            lambda: "twinmatch/tclab-both/state" in subscriber.payloads,
+            "the second plant",
+        )
+        subscriber.await_that(
+            lambda: subscriber.payloads[STATUS] == "offline", "the end of the first"
+        )
         assert subscriber.payloads["twinmatch/tclab-both/status"] == "online"
 
 
 def test_a_plant_that_is_known_before_keeps_its_title(broker: RunningBroker) -> None:
     with subscribed(broker) as subscriber, telling(broker, "peltier") as outlet:
-        subscriber.await_that(lambda: subscriber.payloads.get(STATUS) == "online", "its status")
+        subscriber.await_that(
+            lambda: subscriber.payloads.get(STATUS) == "online", "its status"
+        )
         assert outlet.tell(DashboardState()) == ""
         outlet.tell(state_with_forecast())
         topic = "homeassistant/sensor/twinmatch_peltier_trust/config"
@@ -202,24 +238,34 @@ def test_a_rig_may_have_a_name_of_its_own(broker: RunningBroker, way: str) -> No
             outlet.tell(state_with_forecast())
             topic = "twinmatch/north_wing_2/state"
             subscriber.await_that(lambda: topic in subscriber.payloads, "the state")
-            config = subscriber.json("homeassistant/sensor/twinmatch_north_wing_2_trust/config")
+            config = subscriber.json(
+                "homeassistant/sensor/twinmatch_north_wing_2_trust/config"
+            )
             assert config["device"]["name"] == "north wing/2"
     finally:
         outlet.close()
 
 
-def test_after_a_restart_of_the_broker_all_is_there_again(broker: RunningBroker) -> None:
+def test_after_a_restart_of_the_broker_all_is_there_again(
+    broker: RunningBroker,
+) -> None:
     state = state_with_forecast()
     with telling(broker) as outlet:
         outlet.tell(state)
         broker.kill()
         state.plant.push(301, [0.0] * 3)
         wait_for(lambda: outlet.tell(state), "word of the lost connection")
-        assert outlet.tell(state) == f"the connection to the broker at 127.0.0.1:{broker.port} is lost"
+        assert (
+            outlet.tell(state)
+            == f"the connection to the broker at 127.0.0.1:{broker.port} is lost"
+        )
         broker.start()  # it has forgotten what it kept
         with subscribed(broker) as subscriber:
             entity = "homeassistant/binary_sensor/twinmatch_peltier_fault/config"
-            subscriber.await_that(lambda: {STATE, STATUS, entity} <= subscriber.payloads.keys(), "all of it")
+            subscriber.await_that(
+                lambda: {STATE, STATUS, entity} <= subscriber.payloads.keys(),
+                "all of it",
+            )
             assert subscriber.payloads[STATUS] == "online"
             assert subscriber.json(STATE)["sample"] == 301
         assert outlet.tell(state) == ""
@@ -229,10 +275,14 @@ def test_it_ends_while_the_broker_is_away(broker: RunningBroker) -> None:
     with telling(broker) as outlet:
         outlet.tell(state_with_forecast())
         broker.kill()
-        wait_for(lambda: outlet.tell(state_with_forecast()), "word of the lost connection")
+        wait_for(
+            lambda: outlet.tell(state_with_forecast()), "word of the lost connection"
+        )
 
 
-def test_a_publisher_that_is_killed_leaves_its_will(broker: RunningBroker, tmp_path: Path) -> None:
+def test_a_publisher_that_is_killed_leaves_its_will(
+    broker: RunningBroker, tmp_path: Path
+) -> None:
     script = tmp_path / "publisher.py"
     script.write_text(
         "import sys, time\n"
@@ -244,22 +294,36 @@ def test_a_publisher_that_is_killed_leaves_its_will(broker: RunningBroker, tmp_p
         "time.sleep(600)\n"
     )
     with subscribed(broker) as subscriber:
-        process = Process(sys.executable, script, broker.url, output=tmp_path / "output.txt")
+        process = Process(
+            sys.executable, script, broker.url, output=tmp_path / "output.txt"
+        )
         try:
-            process.wait_until(lambda: subscriber.payloads.get(STATUS) == "online", "its status")
+            process.wait_until(
+                lambda: subscriber.payloads.get(STATUS) == "online", "its status"
+            )
         finally:
             process.kill()
-        subscriber.await_that(lambda: subscriber.payloads[STATUS] == "offline", "the last will")
+        subscriber.await_that(
+            lambda: subscriber.payloads[STATUS] == "offline", "the last will"
+        )
     with subscribed(broker) as late:
-        late.await_that(lambda: late.payloads.get(STATUS) == "offline", "the last will, kept")
+        late.await_that(
+            lambda: late.payloads.get(STATUS) == "offline", "the last will, kept"
+        )
         assert STATUS in late.retained
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # paho leaves a socket behind
+# paho leaves a socket behind
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_users_certificates_and_what_is_refused(tmp_path: Path) -> None:
     secret = tmp_path / "password"
     secret.write_text("s3cret\n")
-    running = RunningBroker(tmp_path / "broker", require(quickest_kind()), users={"twin": "s3cret"}, tls=True)
+    running = RunningBroker(
+        tmp_path / "broker",
+        require(quickest_kind()),
+        users={"twin": "s3cret"},
+        tls=True,
+    )
     right = f"{running.url.replace('//', '//twin@')}?ca={running.certificate}&password_file={secret}"
     try:
         MqttOutlet(right).close()
@@ -269,7 +333,9 @@ def test_users_certificates_and_what_is_refused(tmp_path: Path) -> None:
             MqttOutlet(running.url)
     finally:
         running.close()
-    with pytest.raises(BrokerError, match=f"no MQTT broker at localhost:{running.port}"):
+    with pytest.raises(
+        BrokerError, match=f"no MQTT broker at localhost:{running.port}"
+    ):
         MqttOutlet(right)
 
 
@@ -283,12 +349,17 @@ def test_the_page_tells_a_broker_and_prometheus(
     config.write_text("/**:\n  ros__parameters: {plant: tclab}\n")
     with subscribed(broker) as subscriber:
         page = page_process("--tell", broker.url, "--config", config)
-        subscriber.await_that(lambda: "twinmatch/tclab/state" in subscriber.payloads, "the state")
+        subscriber.await_that(
+            lambda: "twinmatch/tclab/state" in subscriber.payloads, "the state"
+        )
         status, text = ask(page.url, "/metrics")
         assert status == 200
         assert 'twinmatch_trust_level{level="unknown"} 1.0' in text
         page.kill()
-        subscriber.await_that(lambda: subscriber.payloads["twinmatch/tclab/status"] == "offline", "its will")
+        subscriber.await_that(
+            lambda: subscriber.payloads["twinmatch/tclab/status"] == "offline",
+            "its will",
+        )
 
 
 @pytest.mark.parametrize(
@@ -298,7 +369,11 @@ def test_the_page_tells_a_broker_and_prometheus(
         ("http://127.0.0.1", "write mqtt://HOST"),
     ],
 )
-def test_a_page_that_cannot_tell_its_broker_says_so_at_once(ros: None, url: str, why: str) -> None:  # noqa: ARG001
+def test_a_page_that_cannot_tell_its_broker_says_so_at_once(
+    ros: None,  # noqa: ARG001
+    url: str,
+    why: str,
+) -> None:
     from tests.support.ros import Inside
     from twinmatch.showing.page.node import Dashboard
 
@@ -318,28 +393,36 @@ class Entities:
 
     def __init__(self, state: DashboardState) -> None:
         self.payloads = {
-            topic: json.loads(payload) for topic, payload in messages_of(state, "rig", "The rig").items()
+            topic: json.loads(payload)
+            for topic, payload in messages_of(state, "rig", "The rig").items()
         }
         self.configs = {
-            t.split("/")[2]: c for t, c in self.payloads.items() if t.startswith("homeassistant/")
+            t.split("/")[2]: c
+            for t, c in self.payloads.items()
+            if t.startswith("homeassistant/")
         }
 
     def state(self, name: str) -> str:
         return self._render(name, "value_template", "state_topic")
 
     def attributes(self, name: str) -> Any:
-        return json.loads(self._render(name, "json_attributes_template", "json_attributes_topic"))
+        return json.loads(
+            self._render(name, "json_attributes_template", "json_attributes_topic")
+        )
 
     def _render(self, name: str, template: str, topic: str) -> str:
         config = self.configs[f"twinmatch_rig_{name}"]
-        return TEMPLATES.from_string(config[template]).render(value_json=self.payloads[config[topic]])
+        return TEMPLATES.from_string(config[template]).render(
+            value_json=self.payloads[config[topic]]
+        )
 
 
 def test_home_assistant_shows_trust_forecast_and_fault() -> None:
     state = state_with_forecast()
     shown = Entities(state)
     assert {
-        name: shown.state(name) for name in ("trust", "horizon", "coverage", "forecast_temperature", "fault")
+        name: shown.state(name)
+        for name in ("trust", "horizon", "coverage", "forecast_temperature", "fault")
     } == {
         "trust": "trusted",
         "horizon": "60.0",
@@ -348,19 +431,38 @@ def test_home_assistant_shows_trust_forecast_and_fault() -> None:
         "fault": "OFF",
     }
     assert shown.attributes("trust") == {"sentence": state.sentence, "leader": "twin"}
-    assert shown.attributes("forecast_temperature") == {"low": 44.6, "high": 47.6, "ahead": 60.0}
-    state.push_verdict(with_bands(level=TrustLevel.FAULT, fault="drive-lost", fault_signal="pwm"))
+    assert shown.attributes("forecast_temperature") == {
+        "low": 44.6,
+        "high": 47.6,
+        "ahead": 60.0,
+    }
+    state.push_verdict(
+        with_bands(level=TrustLevel.FAULT, fault="drive-lost", fault_signal="pwm")
+    )
     state.push_drive(DriveReport(0.0, math.nan, "too_hot: 121 °C"))
     shown = Entities(state)
-    assert (shown.state("trust"), shown.state("horizon"), shown.state("fault")) == ("fault", "0.0", "ON")
-    assert shown.attributes("fault") == {"fault": "drive-lost of pwm; output held at zero: too hot"}
-    assert shown.attributes("forecast_temperature")["ahead"] == 300.0  # the longest there is
+    assert (shown.state("trust"), shown.state("horizon"), shown.state("fault")) == (
+        "fault",
+        "0.0",
+        "ON",
+    )
+    assert shown.attributes("fault") == {
+        "fault": "drive-lost of pwm; output held at zero: too hot"
+    }
+    # the longest there is
+    assert shown.attributes("forecast_temperature")["ahead"] == 300.0
 
 
 def test_home_assistant_takes_what_is_not_known_as_unknown() -> None:
     shown = Entities(DashboardState(described=description_of(Peltier)))
-    assert {shown.state(name) for name in ("coverage", "forecast_temperature")} == {"None"}
-    assert shown.attributes("forecast_temperature") == {"low": None, "high": None, "ahead": None}
+    assert {shown.state(name) for name in ("coverage", "forecast_temperature")} == {
+        "None"
+    }
+    assert shown.attributes("forecast_temperature") == {
+        "low": None,
+        "high": None,
+        "ahead": None,
+    }
     assert (shown.state("trust"), shown.state("fault")) == ("unknown", "OFF")
 
 
@@ -368,7 +470,11 @@ def test_every_output_has_its_entity_and_all_belong_to_one_device() -> None:
     shown = Entities(state_with_forecast(description_of(TCLabBoth)))
     assert shown.state("forecast_temperature") == "45.6"
     assert shown.state("forecast_second_temperature") == "46.6"
-    assert len({config["unique_id"] for config in shown.configs.values()}) == len(shown.configs) == 6
+    assert (
+        len({config["unique_id"] for config in shown.configs.values()})
+        == len(shown.configs)
+        == 6
+    )
     for name, config in shown.configs.items():
         assert config["unique_id"] == name
         assert config["availability_topic"] == "twinmatch/rig/status"
@@ -380,5 +486,8 @@ def test_every_output_has_its_entity_and_all_belong_to_one_device() -> None:
         assert "command_topic" not in config
     assert shown.configs["twinmatch_rig_fault"]["device_class"] == "problem"
     forecast = shown.configs["twinmatch_rig_forecast_second_temperature"]
-    assert (forecast["unit_of_measurement"], forecast["device_class"]) == ("°C", "temperature")
+    assert (forecast["unit_of_measurement"], forecast["device_class"]) == (
+        "°C",
+        "temperature",
+    )
     assert forecast["name"] == "Forecast of temperature T2"

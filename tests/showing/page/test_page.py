@@ -9,7 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
+pytest.importorskip(
+    "bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'"
+)
 
 from bokeh.document import Document
 from bokeh.events import ButtonClick
@@ -20,7 +22,12 @@ from twinmatch.forecasting import Band, Forecast
 from twinmatch.offline.judging import Judgement
 from twinmatch.safety import LawReport, TrialPhase
 from twinmatch.showing.page.charts import POINTS, ChartFeed, stride_for
-from twinmatch.showing.page.state import DashboardState, RollingTable, TwinRow, WhatIfAnswer
+from twinmatch.showing.page.state import (
+    DashboardState,
+    RollingTable,
+    TwinRow,
+    WhatIfAnswer,
+)
 from twinmatch.showing.page.tab import Tab, question_form, rig_form
 from twinmatch.signals import Sample
 from twinmatch.twin.experiment import ExperimentPhase, ExperimentReport
@@ -41,7 +48,9 @@ class Nothing:
 def fill(state: DashboardState, first: int, number: int, period: float = 0.1) -> None:
     for k in range(first, first + number):
         temperature = 40.0 + np.sin(k / 100)
-        state.push_sample(Sample(k, round(k * period * 1e9), 50.0, temperature, k % 7), k * period)
+        state.push_sample(
+            Sample(k, round(k * period * 1e9), 50.0, temperature, k % 7), k * period
+        )
         state.push_twin(k, TwinRow(*[float(k % 13)] * len(TwinRow._fields)))
 
 
@@ -53,7 +62,9 @@ def opened(state: DashboardState, now: float = 0.0) -> tuple[Tab, Document]:
 
 
 def source(document: Document, chart: str, renderer: int = 0) -> ColumnDataSource:
-    data_source: ColumnDataSource = document.get_model_by_name(chart).renderers[renderer].data_source
+    data_source: ColumnDataSource = (
+        document.get_model_by_name(chart).renderers[renderer].data_source
+    )
     return data_source
 
 
@@ -97,7 +108,10 @@ def test_only_what_is_new_is_sent() -> None:
     push(history, 1, 100.0)
     feed.update(1.0, 500)
     feed.update(1.0, 500)
-    assert [type(event).__name__ for event in sent] == ["ColumnDataChangedEvent", "ColumnsStreamedEvent"]
+    assert [type(event).__name__ for event in sent] == [
+        "ColumnDataChangedEvent",
+        "ColumnsStreamedEvent",
+    ]
     assert sent[1].data["value"].tolist() == [100.0]
 
 
@@ -124,7 +138,10 @@ def test_tabs_opened_early_and_late_show_the_same(judged: Judgement) -> None:
         state.push_verdict(verdict)
         early.update()
     _, second = opened(state)
-    for chart, renderer in (("output", 0), *((name, k) for name in ("matrix", "happened") for k in (0, 1))):
+    for chart, renderer in (
+        ("output", 0),
+        *((name, k) for name in ("matrix", "happened") for k in (0, 1)),
+    ):
         data_of_first = source(first, chart, renderer).data
         data_of_second = source(second, chart, renderer).data
         assert {k: list(v) for k, v in data_of_first.items()} == {
@@ -143,7 +160,10 @@ def test_every_tab_has_its_own_view_of_the_same() -> None:
     fill(state, 400, 1, period=1.0)
     for page in (near, far):
         page.update()
-    assert list(source(first, "output").data["t"]) == [float(k) for k in range(101, 401)]  # five minutes
+    # five minutes
+    assert list(source(first, "output").data["t"]) == [
+        float(k) for k in range(101, 401)
+    ]
     assert list(source(second, "output").data["t"]) == [float(k) for k in range(401)]
 
 
@@ -153,7 +173,10 @@ def test_the_matrix_has_its_gaps_sums_and_intervals(judged: Judgement) -> None:
     low = tuple(0.1 * k for k in range(count))
     high = tuple(0.1 * k + 0.05 for k in range(count))
     sure = replace(
-        last, candidates=tuple(replace(c, nu_gap_low=low, nu_gap_high=high) for c in last.candidates)
+        last,
+        candidates=tuple(
+            replace(c, nu_gap_low=low, nu_gap_high=high) for c in last.candidates
+        ),
     )
     for verdict, interval in ((sure, "0.100 to 0.150"), (last, None)):
         state = DashboardState()
@@ -161,14 +184,20 @@ def test_the_matrix_has_its_gaps_sums_and_intervals(judged: Judgement) -> None:
         _, document = opened(state)
         cells = source(document, "matrix", 0).data
         sums = source(document, "matrix", 2).data
-        nominal = str(1 + [c.name for c in verdict.candidates].index(verdict.nominal or ""))
+        nominal = str(
+            1 + [c.name for c in verdict.candidates].index(verdict.nominal or "")
+        )
         assert cells["gap"] == [gap for line in verdict.nu_gap for gap in line]
         assert sums["gap"] == [c.nu_gap_sum for c in verdict.candidates]
-        assert [sums["column"][k] for k, s in enumerate(sums["style"]) if s == "bold"] == [nominal]
+        assert [
+            sums["column"][k] for k, s in enumerate(sums["style"]) if s == "bold"
+        ] == [nominal]
         assert interval is None or cells["interval"][1] == interval
 
 
-def test_any_number_of_candidates_with_long_names_has_room_in_the_matrix(judged: Judgement) -> None:
+def test_any_number_of_candidates_with_long_names_has_room_in_the_matrix(
+    judged: Judgement,
+) -> None:
     """Columns bear numbers, rows the names on two lines at most; tooltips say all of it."""
     verdict = judged.verdicts[-1]
     name = "sink with mass, free ambient, free ripple, sensor lag"
@@ -177,7 +206,9 @@ def test_any_number_of_candidates_with_long_names_has_room_in_the_matrix(judged:
     distances = np.abs(places[:, None] - places) / 10
     gaps = tuple(map(tuple, distances.tolist()))
     state = DashboardState()
-    state.push_verdict(replace(verdict, candidates=eight, nominal=eight[2].name, nu_gap=gaps))
+    state.push_verdict(
+        replace(verdict, candidates=eight, nominal=eight[2].name, nu_gap=gaps)
+    )
     _, document = opened(state)
     chart = document.get_model_by_name("matrix")
     cells = source(document, "matrix", 0).data
@@ -194,8 +225,13 @@ def test_any_number_of_candidates_with_long_names_has_room_in_the_matrix(judged:
 def forecast(sample: int) -> Forecast:
     time = np.array([1.0, 10.0, 60.0, 75.0, 90.0, 300.0])
     level = 40.0 + time / 100
-    bands = [(Band(level, level - 1.0, level + 1.0),), (Band(time, time - 9.0, time + 9.0),)]
-    return Forecast(sample, "50 °C", "held sink", 0.9, time, np.full(time.size, 50.0), *bands)
+    bands = [
+        (Band(level, level - 1.0, level + 1.0),),
+        (Band(time, time - 9.0, time + 9.0),),
+    ]
+    return Forecast(
+        sample, "50 °C", "held sink", 0.9, time, np.full(time.size, 50.0), *bands
+    )
 
 
 def test_what_comes_is_drawn_as_far_as_the_span_has_room() -> None:
@@ -205,7 +241,10 @@ def test_what_comes_is_drawn_as_far_as_the_span_has_room() -> None:
     fill(state, 0, 400, period=1.0)
     time = document.get_model_by_name("output").x_range
     page.update()
-    assert (list(source(document, "output", 3).data["t"]), time.follow_interval) == ([], 1200.0)
+    assert (list(source(document, "output", 3).data["t"]), time.follow_interval) == (
+        [],
+        1200.0,
+    )
     state.push_forecast(forecast(399))
     page.update()
     drawn = source(document, "output", 3).data
@@ -223,7 +262,9 @@ def test_an_answer_stays_until_the_next_and_goes_with_the_session() -> None:
     state = DashboardState()
     page, document = opened(state)
     fill(state, 0, 400, period=1.0)
-    state.answer(WhatIfAnswer("set-point <b>60</b> °C", ("so <i>it</i> is",), forecast(350)))
+    state.answer(
+        WhatIfAnswer("set-point <b>60</b> °C", ("so <i>it</i> is",), forecast(350))
+    )
     page.update()
     text = document.get_model_by_name("answer").text
     assert "set-point &lt;b&gt;60&lt;/b&gt; °C" in text
@@ -286,15 +327,31 @@ def test_experiments_and_laws_on_trial_are_events() -> None:
     fill(state, 0, 2, period=1.0)
     page, document = opened(state)
     running = ExperimentReport(
-        1, ExperimentPhase.RUNNING, "structure", 0, 9.0, 2.0, (30.0, 25.0), (60.0, 1.0), "…"
+        1,
+        ExperimentPhase.RUNNING,
+        "structure",
+        0,
+        9.0,
+        2.0,
+        (30.0, 25.0),
+        (60.0, 1.0),
+        "…",
     )
     state.push_experiment(running)
     assert state.notice is None
     state.push_experiment(
-        replace(running, phase=ExperimentPhase.DECIDED, levels=(), holds=(), reason="held sink")
+        replace(
+            running,
+            phase=ExperimentPhase.DECIDED,
+            levels=(),
+            holds=(),
+            reason="held sink",
+        )
     )
     assert state.notice == (True, "decided: held sink")
-    state.push_law(LawReport(1, TrialPhase.BACK, 1, reason="output 1 is 90, not 39 to 41"))
+    state.push_law(
+        LawReport(1, TrialPhase.BACK, 1, reason="output 1 is 90, not 39 to 41")
+    )
     page.update()
     events = document.get_model_by_name("events").text
     for words in (
@@ -333,7 +390,8 @@ def test_an_open_page_takes_no_more_room_however_long(judged: Judgement) -> None
 
 def test_letters_in_the_charts_can_be_read(judged: Judgement) -> None:
     """The browser's check sees text of the page only; titles, ticks, legends and labels are drawn."""
-    assert contrast("#777777", "#FFFFFF") == pytest.approx(4.48, abs=0.01)  # the WCAG's own example
+    # the WCAG's own example
+    assert contrast("#777777", "#FFFFFF") == pytest.approx(4.48, abs=0.01)
     state = DashboardState()
     for verdict in judged.verdicts:
         state.push_verdict(verdict)
@@ -346,7 +404,12 @@ def test_letters_in_the_charts_can_be_read(judged: Judgement) -> None:
             if isinstance(colour, str) and colour.startswith("#"):
                 looked_at.add(name)
                 assert contrast(colour, "#FFFFFF") >= 4.5, (model, name, colour)
-    assert looked_at >= {"text_color", "axis_label_text_color", "major_label_text_color", "label_text_color"}
+    assert looked_at >= {
+        "text_color",
+        "axis_label_text_color",
+        "major_label_text_color",
+        "label_text_color",
+    }
 
 
 def test_a_tab_is_sent_one_thermal_image_a_second() -> None:

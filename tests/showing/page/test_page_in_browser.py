@@ -13,8 +13,12 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
-pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
+pytest.importorskip(
+    "bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'"
+)
 
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
@@ -26,7 +30,12 @@ from tests.support.ros import listening
 from tests.support.waiting import wait_for
 from twinmatch.comparing import ADMITTED
 from twinmatch.dynamics import Plant
-from twinmatch.nodes.messages import description_message, message_of, sample_message, state_message
+from twinmatch.nodes.messages import (
+    description_message,
+    message_of,
+    sample_message,
+    state_message,
+)
 from twinmatch.nodes.topics import LATCHED, RELIABLE
 from twinmatch.offline.judging import Judgement
 from twinmatch.plants import Peltier
@@ -52,7 +61,9 @@ LEADS = 310
 """Samples of the quarter of an hour after which the first twin is matched, which leads then."""
 
 
-FITS = "const page = document.documentElement; return page.scrollWidth <= page.clientWidth"
+FITS = (
+    "const page = document.documentElement; return page.scrollWidth <= page.clientWidth"
+)
 ON_SCREEN = """
 return deep(document).filter((e) => e.checkVisibility() && e.children.length == 0)
     .filter((e) => { const r = e.getBoundingClientRect(); return r.top >= 0 && r.bottom <= innerHeight })
@@ -68,7 +79,9 @@ while (e && e.shadowRoot && e.shadowRoot.activeElement) e = e.shadowRoot.activeE
 return e ? (e.innerText || '').trim() : '';
 """
 CHART = "const chart = Bokeh.documents[0].get_model_by_name(arguments[0]);"
-PIXELS = f"{CHART} return Bokeh.index.get_one(chart).canvas_view.primary.canvas.toDataURL()"
+PIXELS = (
+    f"{CHART} return Bokeh.index.get_one(chart).canvas_view.primary.canvas.toDataURL()"
+)
 """What is drawn of a chart, wherever the page is scrolled to."""
 FAINT = """
 const up = (e) => e.parentElement || (e.getRootNode().host ?? null);
@@ -101,13 +114,19 @@ class Graph:
             "plant/estimate": EstimatedReading,
         }
         self._publishers = {
-            name: self.node.create_publisher(kind, name, RELIABLE) for name, kind in kinds.items()
+            name: self.node.create_publisher(kind, name, RELIABLE)
+            for name, kind in kinds.items()
         }
         self._publishers["plant/description"] = self.node.create_publisher(
             PlantDescription, "plant/description", LATCHED
         )
-        for name, kind in (("thermal/image", Image), ("plant/temperature", Temperature)):
-            self._publishers[name] = self.node.create_publisher(kind, name, qos_profile_sensor_data)
+        for name, kind in (
+            ("thermal/image", Image),
+            ("plant/temperature", Temperature),
+        ):
+            self._publishers[name] = self.node.create_publisher(
+                kind, name, qos_profile_sensor_data
+            )
         self._last = -1
 
     def publish(self, name: str, message: Any) -> None:
@@ -116,7 +135,12 @@ class Graph:
     def heard(self, name: str) -> int:
         return int(self._publishers[name].get_subscription_count())
 
-    def session(self, samples: list[Sample], judged: Judgement | None = None, rate: float = 400.0) -> None:
+    def session(
+        self,
+        samples: list[Sample],
+        judged: Judgement | None = None,
+        rate: float = 400.0,
+    ) -> None:
         """Samples with the twins' state at each, and what a judgement has to say at some.
 
         They are those of a graph that was started again, unless they follow the ones before.
@@ -128,7 +152,10 @@ class Graph:
         mirror = Mirror(settings.start, settings.law)
         for sample in samples:
             self.publish("plant/sample", sample_message(sample))
-            self.publish("twin/state", state_message(mirror.push(sample), "", settings.plant.states))
+            self.publish(
+                "twin/state",
+                state_message(mirror.push(sample), "", settings.plant.states),
+            )
             for verdict in judged.verdicts if judged else ():
                 if verdict.sample == sample.index:
                     self.publish("twin/model_score", message_of(verdict, sample.stamp))
@@ -141,7 +168,9 @@ class Graph:
         wait_for(lambda: self.heard(name) == readers, f"the readers of {name}")
 
     def describe(self, plant: type[Plant]) -> None:
-        self.publish("plant/description", description_message(description_of(plant), 1.0))
+        self.publish(
+            "plant/description", description_message(description_of(plant), 1.0)
+        )
 
     def fault(self, text: str, stamp: int) -> None:
         applied = PwmApplied(pwm=0.0, current=0.1, fault=text)
@@ -169,7 +198,10 @@ def page(page_process: Callable[..., Any], graph: Graph, browser: Any) -> Any:
         browser.wait_for(lambda name=name: graph.heard(name), f"a reader of {name}")
     assert "°C" not in browser.text  # nobody has said what plant this is
     graph.describe(Peltier)
-    browser.wait_for(lambda: browser.driver.title == "twinmatch: Peltier rig", "the page loaded again")
+    browser.wait_for(
+        lambda: browser.driver.title == "twinmatch: Peltier rig",
+        "the page loaded again",
+    )
     browser.wait_for(lambda: "set-point / °C" in browser.text, "the plant's own words")
     return started
 
@@ -194,8 +226,12 @@ def counted(number: int, period: float = 1.0, first: int = 0) -> list[Sample]:
     ]
 
 
-def test_it_loads_from_this_machine_alone_and_says_that_it_waits(page: Any, browser: Any) -> None:
-    browser.wait_for(lambda: "waiting for the first sample" in browser.text, "that it waits")
+def test_it_loads_from_this_machine_alone_and_says_that_it_waits(
+    page: Any, browser: Any
+) -> None:
+    browser.wait_for(
+        lambda: "waiting for the first sample" in browser.text, "that it waits"
+    )
     assert "unknown" in browser.text
     assert page.url.startswith("http://127.0.0.1:")
     assert "PAGE OPEN" not in page.text
@@ -221,37 +257,58 @@ def test_data_move_as_they_come(graph: Graph, browser: Any) -> None:
     before = shown()[-1]
     wait_for(lambda: shown()[-1] >= before + 50, "more samples", meanwhile=publish)
     assert browser.picture("output") != picture
-    browser.wait_for(lambda: f"sample {sent[-1]}, {sent[-1]} s" in browser.text, "the last sample")
+    browser.wait_for(
+        lambda: f"sample {sent[-1]}, {sent[-1]} s" in browser.text, "the last sample"
+    )
     browser.wait_for(lambda: shown()[-1] == sent[-1], "the last point")
     last = sent[-1200:]  # twenty minutes
     assert shown() == last
     assert browser.column("output", 0, "output") == [40.0 + np.sin(k / 9) for k in last]
-    browser.wait_for(lambda: browser.column("output", 1, "t")[-1] == sent[-1], "the twin's last")
+    browser.wait_for(
+        lambda: browser.column("output", 1, "t")[-1] == sent[-1], "the twin's last"
+    )
     assert browser.warnings() == []
 
 
-def test_a_chart_is_drawn_only_while_somebody_can_see_it(graph: Graph, browser: Any) -> None:
+def test_a_chart_is_drawn_only_while_somebody_can_see_it(
+    graph: Graph, browser: Any
+) -> None:
     browser.run("scrollTo(0, 0)")
     browser.wait_for(
-        lambda: browser.run(f"{CHART} return chart.hold_render", "control_residual"), "that it waits"
+        lambda: browser.run(f"{CHART} return chart.hold_render", "control_residual"),
+        "that it waits",
     )
     unseen = browser.run(PIXELS, "control_residual")
     graph.session(counted(30))
-    browser.wait_for(lambda: browser.column("control_residual", 1, "t")[-1:] == [29.0], "the samples")
-    assert not browser.run(f"{CHART} return chart.hold_render", "output")  # the time of all follows this one
+    browser.wait_for(
+        lambda: browser.column("control_residual", 1, "t")[-1:] == [29.0], "the samples"
+    )
+    # the time of all follows this one
+    assert not browser.run(f"{CHART} return chart.hold_render", "output")
     assert browser.run(PIXELS, "control_residual") == unseen
-    browser.run(f"{CHART} Bokeh.index.get_one(chart).el.scrollIntoView()", "control_residual")
-    browser.wait_for(lambda: browser.run(PIXELS, "control_residual") != unseen, "the drawing")
+    browser.run(
+        f"{CHART} Bokeh.index.get_one(chart).el.scrollIntoView()", "control_residual"
+    )
+    browser.wait_for(
+        lambda: browser.run(PIXELS, "control_residual") != unseen, "the drawing"
+    )
     browser.run("scrollTo(0, 0)")
     assert browser.warnings() == []
 
 
-def test_verdicts_family_and_events_are_shown(graph: Graph, browser: Any, judged: Judgement) -> None:
+def test_verdicts_family_and_events_are_shown(
+    graph: Graph, browser: Any, judged: Judgement
+) -> None:
     graph.session(list(judged.samples), judged)
     last = judged.verdicts[-1]
     assert last.nominal is not None
-    browser.wait_for(lambda: f"sample {judged.samples[-1].index}" in browser.text, "the last sample")
-    browser.wait_for(lambda: last.level.value in browser.text and "nominal" in browser.text, "the verdict")
+    browser.wait_for(
+        lambda: f"sample {judged.samples[-1].index}" in browser.text, "the last sample"
+    )
+    browser.wait_for(
+        lambda: last.level.value in browser.text and "nominal" in browser.text,
+        "the verdict",
+    )
     for candidate in last.candidates:
         assert f"{candidate.name}" in browser.text
     gaps = browser.column("matrix", 0, "gap")
@@ -267,23 +324,35 @@ def test_verdicts_family_and_events_are_shown(graph: Graph, browser: Any, judged
     rows_of_other_orders = sum(
         len(c.orders) - 1 for c in last.candidates if c.orders
     )  # structures are not identified
-    browser.wait_for(lambda: browser.run(count) == rows + rows_of_other_orders, "a row for every order")
+    browser.wait_for(
+        lambda: browser.run(count) == rows + rows_of_other_orders,
+        "a row for every order",
+    )
     browser.click("all orders")
     assert browser.warnings() == []
 
 
-def test_every_width_shows_the_first_answers_and_needs_no_scrolling_sideways(browser: Any) -> None:
+def test_every_width_shows_the_first_answers_and_needs_no_scrolling_sideways(
+    browser: Any,
+) -> None:
     """After the test above: there is a verdict, a family, and everything that belongs to it."""
     for size in browser.sized((1024, 900), (390, 844)):
         browser.wait_for(lambda: browser.run(FITS), "a page that fits")
         on_screen = browser.run(ON_SCREEN)
-        for answer in ("leader, the twin", "plant health", "what to do", "closed-loop twin / °C"):
+        for answer in (
+            "leader, the twin",
+            "plant health",
+            "what to do",
+            "closed-loop twin / °C",
+        ):
             assert answer in on_screen, (answer, size)
         assert browser.run(FAINT) == [], size
         assert browser.warnings() == [], size
 
 
-def test_the_keys_reach_everything_that_can_be_clicked_and_help_is_one_of_it(browser: Any) -> None:
+def test_the_keys_reach_everything_that_can_be_clicked_and_help_is_one_of_it(
+    browser: Any,
+) -> None:
     from selenium.webdriver.common.keys import Keys
 
     browser.run("document.body.tabIndex = -1; document.body.focus()")
@@ -320,25 +389,40 @@ def test_what_comes_is_drawn_ahead_and_can_be_asked_for(
         graph.session(further_samples, rate=50.0)
         sent.extend(further_samples)
 
-    wait_for(lambda: browser.column("output", FORECAST, "t"), "a forecast", meanwhile=publish)
+    wait_for(
+        lambda: browser.column("output", FORECAST, "t"), "a forecast", meanwhile=publish
+    )
     last = float(sent[-1].index)
-    browser.wait_for(lambda: browser.column("output", FORECAST, "t")[:1] == [last + 1.0], "the forecast")
+    browser.wait_for(
+        lambda: browser.column("output", FORECAST, "t")[:1] == [last + 1.0],
+        "the forecast",
+    )
     assert browser.column("output", FORECAST, "t")[-1] == last + 300.0
-    low, mean, high = (browser.column("control", 2, f"input{edge}") for edge in ("_low", "", "_high"))
+    low, mean, high = (
+        browser.column("control", 2, f"input{edge}") for edge in ("_low", "", "_high")
+    )
     assert all(a <= b <= c for a, b, c in zip(low, mean, high, strict=True))
     assert "leader, the twin to ask what comes next" in browser.text
-    ends = browser.run("return Bokeh.documents[0].get_model_by_name('output').x_range.end")
+    ends = browser.run(
+        "return Bokeh.documents[0].get_model_by_name('output').x_range.end"
+    )
     assert ends == last + 300.0
     _ask(browser, "55.5", "120")
-    browser.wait_for(lambda: "set-point 55.5 °C for 120 s" in browser.text, "the question")
+    browser.wait_for(
+        lambda: "set-point 55.5 °C for 120 s" in browser.text, "the question"
+    )
     browser.wait_for(lambda: "temperature after 300 s" in browser.text, "the answer")
     asked = browser.column("output", ANSWER, "reference")
     assert (asked[0], asked[118], asked[119]) == (55.5, 55.5, sent[-1].reference)
     _ask(browser, "400", "")
-    browser.wait_for(lambda: "the set-point is 400 °C; give one from" in browser.text, "the refusal")
+    browser.wait_for(
+        lambda: "the set-point is 400 °C; give one from" in browser.text, "the refusal"
+    )
     assert browser.column("output", ANSWER, "t") == []
     browser.click("5 min")
-    browser.wait_for(lambda: browser.column("output", FORECAST, "t")[-1] <= last + 75.0, "less of it")
+    browser.wait_for(
+        lambda: browser.column("output", FORECAST, "t")[-1] <= last + 75.0, "less of it"
+    )
     browser.click("20 min")
     assert discriminator.end() == 0
 
@@ -352,7 +436,9 @@ def test_what_comes_is_drawn_ahead_and_can_be_asked_for(
 
 
 def _ask(browser: Any, level: str, hold: str) -> None:
-    fields = browser.run("return deep(document).filter((e) => e.tagName == 'INPUT' && e.checkVisibility())")
+    fields = browser.run(
+        "return deep(document).filter((e) => e.tagName == 'INPUT' && e.checkVisibility())"
+    )
     for field, value in zip(fields, (level, hold), strict=True):
         field.clear()
         field.send_keys(value, "\n")
@@ -363,14 +449,28 @@ def test_a_fault_is_shown_and_goes(graph: Graph, browser: Any) -> None:
     samples = counted(5)
     graph.session(samples)
     # A fault that is received before the session's first sample would be one of the session before.
-    browser.wait_for(lambda: browser.column("output", 0, "t") == [0.0, 1.0, 2.0, 3.0, 4.0], "the samples")
+    browser.wait_for(
+        lambda: browser.column("output", 0, "t") == [0.0, 1.0, 2.0, 3.0, 4.0],
+        "the samples",
+    )
     # It is received last: its stamp alone says when it was.
-    graph.fault("over_temperature: 111.0 °C is above 110.0 °C <b>", samples[2].stamp + 500_000_000)
-    browser.wait_for(lambda: "Output held at zero: over temperature" in browser.text, "the alarm")
-    assert "111.0 °C is above 110.0 °C <b>" in browser.text  # as text, whatever it looks like
-    browser.wait_for(lambda: browser.column("happened", 1, "t") == [2.5], "its mark in the figure")
+    graph.fault(
+        "over_temperature: 111.0 °C is above 110.0 °C <b>",
+        samples[2].stamp + 500_000_000,
+    )
+    browser.wait_for(
+        lambda: "Output held at zero: over temperature" in browser.text, "the alarm"
+    )
+    # as text, whatever it looks like
+    assert "111.0 °C is above 110.0 °C <b>" in browser.text
+    browser.wait_for(
+        lambda: browser.column("happened", 1, "t") == [2.5], "its mark in the figure"
+    )
     graph.fault("", samples[4].stamp)
-    browser.wait_for(lambda: "Output held at zero: over temperature" not in browser.text, "the end of it")
+    browser.wait_for(
+        lambda: "Output held at zero: over temperature" not in browser.text,
+        "the end of it",
+    )
     browser.wait_for(lambda: "fault cleared" in browser.text, "a word of it")
     assert browser.warnings() == []
 
@@ -394,13 +494,21 @@ def test_the_thermal_image_is_shown(graph: Graph, browser: Any) -> None:
     assert browser.warnings() == []
 
 
-def test_it_survives_that_the_graph_is_started_again(graph: Graph, browser: Any) -> None:
+def test_it_survives_that_the_graph_is_started_again(
+    graph: Graph, browser: Any
+) -> None:
     graph.session(counted(50))
-    browser.wait_for(lambda: "sample 49, 49 s" in browser.text, "the first session's last sample")
+    browser.wait_for(
+        lambda: "sample 49, 49 s" in browser.text, "the first session's last sample"
+    )
     graph.session(counted(29, period=0.1))
-    browser.wait_for(lambda: "sample 28, 2.8 s" in browser.text, "the second session's last sample")
+    browser.wait_for(
+        lambda: "sample 28, 2.8 s" in browser.text, "the second session's last sample"
+    )
     # Twenty minutes at 10 Hz: ten samples are drawn as two points, their least and greatest.
-    browser.wait_for(lambda: len(browser.column("output", 0, "t")) == 4, "its samples alone")
+    browser.wait_for(
+        lambda: len(browser.column("output", 0, "t")) == 4, "its samples alone"
+    )
     # Up to two samples are not believed, if the page learns of the new publisher before the old one's end.
     drawn = browser.column("output", 0, "t")
     assert drawn[0] <= 0.21
@@ -409,11 +517,16 @@ def test_it_survives_that_the_graph_is_started_again(graph: Graph, browser: Any)
     assert browser.warnings() == []
 
 
-def test_without_control_nothing_can_be_asked_of_the_rig(graph: Graph, browser: Any) -> None:
+def test_without_control_nothing_can_be_asked_of_the_rig(
+    graph: Graph, browser: Any
+) -> None:
     for label in ("Set", "Clear fault", "Output off"):
         assert browser.button(label) is None
     assert graph.node.count_publishers("plant/reference") == 0
-    services = {name for name, _ in graph.node.get_client_names_and_types_by_node("dashboard", "/")}
+    services = {
+        name
+        for name, _ in graph.node.get_client_names_and_types_by_node("dashboard", "/")
+    }
     assert services == {"/player/pause", "/player/set_parameters", "/twin/what_if"}
 
 
@@ -458,20 +571,27 @@ def test_control_asks_the_controller_and_the_bridge(
             return answer in browser.text
 
         browser.wait_for(lambda: asked("42.5", "requested 42.5 °C"), "the answer")
-        browser.wait_for(lambda: browser.column("output", 2, "reference")[-1:] == [42.5], "the set-point")
         browser.wait_for(
-            lambda: asked("180", "180 °C not set: the controller allows 0 to 100 °C"), "the refusal"
+            lambda: browser.column("output", 2, "reference")[-1:] == [42.5],
+            "the set-point",
+        )
+        browser.wait_for(
+            lambda: asked("180", "180 °C not set: the controller allows 0 to 100 °C"),
+            "the refusal",
         )
         assert browser.column("output", 2, "reference")[-1] == 42.5
 
         def stopped() -> bool:
-            browser.click("Output off")  # until the bridge has started, the page says that it is not there
+            # until the bridge has started, the page says that it is not there
+            browser.click("Output off")
             time.sleep(1.0)
             return "stopped on request; call clear_fault to continue" in browser.text
 
         browser.wait_for(stopped, "the fault")
         browser.click("Clear fault")
-        browser.wait_for(lambda: "the PWM board is not connected" in browser.text, "the answer")
+        browser.wait_for(
+            lambda: "the PWM board is not connected" in browser.text, "the answer"
+        )
         assert browser.warnings() == []
     finally:
         ending.set()
@@ -497,7 +617,9 @@ def test_an_open_tab_comes_back_with_the_server(
     browser.warnings()  # those of the lost connection
 
 
-def test_a_replay_is_paused_and_hurried(browser: Any, node: Callable[..., Process], tmp_path: Path) -> None:
+def test_a_replay_is_paused_and_hurried(
+    browser: Any, node: Callable[..., Process], tmp_path: Path
+) -> None:
     session = write_session(tmp_path / "hour", counted(3600))
     assert browser.button("Pause") is None
     player = node("player", f"session:={session}", "rate:=10.0")
@@ -507,13 +629,20 @@ def test_a_replay_is_paused_and_hurried(browser: Any, node: Callable[..., Proces
     stands = browser.column("output", 0, "t")[-1]
     time.sleep(1.0)
     assert browser.column("output", 0, "t")[-1] - stands <= 1.0
-    browser.click("50 ×")  # at 200 × a busy browser would not find the button "max" before the end
+    # at 200 × a busy browser would not find the button "max" before the end
+    browser.click("50 ×")
     browser.wait_for(lambda: "50 × recorded speed" in browser.text, "the speed")
     browser.click("Continue")
-    browser.wait_for(lambda: browser.column("output", 0, "t")[-1] > stands + 100, "much more")
+    browser.wait_for(
+        lambda: browser.column("output", 0, "t")[-1] > stands + 100, "much more"
+    )
     browser.click("max")
     assert player.wait() == 0
     browser.wait_for(lambda: "sample 3599, 3599 s" in browser.text, "the last sample")
-    browser.wait_for(lambda: browser.button("Pause") is None, "that the player has gone")
-    browser.wait_for(lambda: "the replay has ended" in browser.text, "that this was the end")
+    browser.wait_for(
+        lambda: browser.button("Pause") is None, "that the player has gone"
+    )
+    browser.wait_for(
+        lambda: "the replay has ended" in browser.text, "that this was the end"
+    )
     assert browser.warnings() == []

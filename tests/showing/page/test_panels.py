@@ -8,7 +8,9 @@ from html import unescape
 
 import pytest
 
-pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
+pytest.importorskip(
+    "bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'"
+)
 
 from tests.support.places import PROJECT
 from twinmatch.comparing import CandidateScore, TrustLevel
@@ -23,14 +25,19 @@ from twinmatch.signals import Sample
 
 def words(html: str) -> list[str]:
     """What can be read, piece by piece."""
-    return [unescape(piece).strip() for piece in re.split(r"<[^>]*>", html) if piece.strip()]
+    return [
+        unescape(piece).strip() for piece in re.split(r"<[^>]*>", html) if piece.strip()
+    ]
 
 
 def test_the_figures_are_those_of_the_terminal(judged: Judgement) -> None:
     for verdict in judged.verdicts:
         state = DashboardState()
         state.push_verdict(verdict)
-        shown_words = [*words(panels.reasons(verdict, 1.0)), *words(first_screen(state))]
+        shown_words = [
+            *words(panels.reasons(verdict, 1.0)),
+            *words(first_screen(state)),
+        ]
         for name, cell in row(verdict, 1.0).items():
             if name == "decided":
                 continue
@@ -42,7 +49,11 @@ def test_the_figures_are_those_of_the_terminal(judged: Judgement) -> None:
 
 def test_a_fault_a_doubt_and_a_structure_are_said(judged: Judgement) -> None:
     verdict = replace(
-        judged.verdicts[-1], fault="fan failed", fault_since=300, certainty="hardly", structure="sink"
+        judged.verdicts[-1],
+        fault="fan failed",
+        fault_since=300,
+        certainty="hardly",
+        structure="sink",
     )
     shown_words = words(panels.reasons(verdict, 1.0))
     assert "the plant shows fan failed since 300 s" in shown_words
@@ -56,8 +67,14 @@ def test_the_family_is_that_of_the_report(judged: Judgement) -> None:
     chosen = panels.family_table(last, all_orders=False)
     all_orders = panels.family_table(last, all_orders=True)
     for candidate in last.modelled:
-        lines = [line for line in criterion_rows(candidate, criteria) if line.output == "total"]
-        assert {cell.text for line in lines for cell in line.cells} <= set(words(all_orders))
+        lines = [
+            line
+            for line in criterion_rows(candidate, criteria)
+            if line.output == "total"
+        ]
+        assert {cell.text for line in lines for cell in line.cells} <= set(
+            words(all_orders)
+        )
         assert candidate.name in words(chosen)
         assert f"{candidate.chosen_order} ✓" in words(chosen)
     assert chosen.count("<tr") == 1 + len(last.modelled)
@@ -65,12 +82,16 @@ def test_the_family_is_that_of_the_report(judged: Judgement) -> None:
     assert all_orders.count('class="best"') > 0
     assert words(chosen).count("nominal") == 1
     driven = replace(last, candidates=tuple(_without_input(c) for c in last.modelled))
-    assert panels.family_table(driven, all_orders=True).count("<tr") == all_orders.count("<tr")
+    assert panels.family_table(driven, all_orders=True).count(
+        "<tr"
+    ) == all_orders.count("<tr")
 
 
 def _without_input(candidate: CandidateScore) -> CandidateScore:
     """The candidate as it is scored in open loop, on its output alone."""
-    return replace(candidate, orders=tuple(replace(o, u=None, total=o.y) for o in candidate.orders))
+    return replace(
+        candidate, orders=tuple(replace(o, u=None, total=o.y) for o in candidate.orders)
+    )
 
 
 def test_before_anything_came_it_says_so() -> None:
@@ -99,22 +120,34 @@ def test_silence_and_trouble_are_in_the_first_line() -> None:
     assert words(panels.nodes(state.nodes, 160.0)) == ["matcher", "error", "trouble"]
 
 
-@pytest.mark.parametrize("evil", ["<script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "a & b"])
+@pytest.mark.parametrize(
+    "evil", ["<script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "a & b"]
+)
 def test_what_comes_from_the_graph_is_text(judged: Judgement, evil: str) -> None:
     state = DashboardState()
     state.push_drive(DriveReport(0.0, 0.0, f"stopped: {evil}"))
-    state.push_health(f"{evil}: health", 2, evil, {"rate": "1", "paused": "no", "position": evil}, 0.0)
+    state.push_health(
+        f"{evil}: health", 2, evil, {"rate": "1", "paused": "no", "position": evil}, 0.0
+    )
     state.notify(False, evil)
     last = judged.verdicts[-1]
     named = replace(last.candidates[0], name=evil)
-    verdict = replace(last, reason=evil, nominal=evil, candidates=(named,), fault=evil, certainty=evil)
-    pages = [panels.alarm(state), panels.nodes(state.nodes, 0.0), panels.status(state, 0.0)]
+    verdict = replace(
+        last, reason=evil, nominal=evil, candidates=(named,), fault=evil, certainty=evil
+    )
+    pages = [
+        panels.alarm(state),
+        panels.nodes(state.nodes, 0.0),
+        panels.status(state, 0.0),
+    ]
     pages += [
         panels.notice(state),
         panels.reasons(verdict, 1.0),
         panels.family_table(verdict, all_orders=True),
     ]
-    pages.append(panels.events_table([Event(3, EventKind.FAULT, evil, evil, Mark.BAD)], 1, 1.0))
+    pages.append(
+        panels.events_table([Event(3, EventKind.FAULT, evil, evil, Mark.BAD)], 1, 1.0)
+    )
     for page in pages:
         assert not re.search(r"<(script|img)", page)
         assert re.search(r"&(?!(amp|lt|gt|quot|#x27);)", page) is None
@@ -150,11 +183,15 @@ def test_the_first_screen_says_what_to_do(judged: Judgement) -> None:
         fault = "drive-lost" if level is TrustLevel.FAULT else ""
         state.push_verdict(replace(last, level=level, fault=fault, reason=reason))
         assert {level.value, panels.SIGNS[level]} <= set(words(first_screen(state)))
-        assert what_to_do(state).startswith(advice) or advice in what_to_do(state), level
+        assert what_to_do(state).startswith(advice) or advice in what_to_do(state), (
+            level
+        )
     assert "no fault found" in " ".join(words(first_screen(state)))
     state.push_verdict(replace(last, level=TrustLevel.FAULT, reason=reason))
     assert what_to_do(state).startswith("Look at drive, sensor and cables. Do not rely")
-    state.push_verdict(replace(last, level=TrustLevel.FAULT, fault="drive-lost", fault_since=600))
+    state.push_verdict(
+        replace(last, level=TrustLevel.FAULT, fault="drive-lost", fault_since=600)
+    )
     assert "✕ drive lost" in words(first_screen(state))
     state.push_drive(DriveReport(0.0, 0.0, "board: gone"))
     assert "clear the fault" in what_to_do(state)
@@ -171,8 +208,16 @@ def test_at_the_end_of_a_replay_nobody_is_blamed() -> None:
     player = {"rate": "50", "paused": "False", "position": "13.0 s of 13.0 s"}
     state.push_health("matcher", 0, "working", {}, 100.0)
     state.push_health("player", 0, "playing", {**player, "ended": "False"}, 100.0)
-    assert any("playing: 13.0 s of 13.0 s" in w for w in words(panels.status(state, 101.0)))
-    state.push_health("player", 0, "ended: all 13 messages were taken", {**player, "ended": "True"}, 101.0)
+    assert any(
+        "playing: 13.0 s of 13.0 s" in w for w in words(panels.status(state, 101.0))
+    )
+    state.push_health(
+        "player",
+        0,
+        "ended: all 13 messages were taken",
+        {**player, "ended": "True"},
+        101.0,
+    )
     state.push_health("matcher", 1, "no sample for 6 s", {}, 106.0)
     for time in (107.0, 400.0):
         state.nodes.expire(time)
@@ -184,17 +229,27 @@ def test_at_the_end_of_a_replay_nobody_is_blamed() -> None:
         assert shown_text.count("has ended with the replay") == 2
         assert "no sample" not in shown_text
         assert "the replay has ended" in what_to_do(state)
-    state.push_health("matcher", 2, "trouble", {}, 401.0)  # an error is its own all the same
+    # an error is its own all the same
+    state.push_health("matcher", 2, "trouble", {}, 401.0)
     assert "1 of 2 nodes need attention" in words(panels.status(state, 401.0))
     state.push_sample(Sample(0, 0, 1.0, 2.0, 3.0), 500.0)
     assert not any("ended" in w for w in words(panels.status(state, 500.0)))
 
 
-def test_a_page_that_is_behind_takes_the_last_samples_of_a_replay_that_has_ended() -> None:
+def test_a_page_that_is_behind_takes_the_last_samples_of_a_replay_that_has_ended() -> (
+    None
+):
     state = DashboardState()
-    values = {"rate": "0", "paused": "False", "position": "40.0 s of 40.0 s", "ended": "True"}
+    values = {
+        "rate": "0",
+        "paused": "False",
+        "position": "40.0 s of 40.0 s",
+        "ended": "True",
+    }
     state.push_sample(Sample(0, 0, 1.0, 2.0, 3.0), 100.0)
-    state.push_health("player", 0, "ended: all 40 messages were delivered", values, 100.0)
+    state.push_health(
+        "player", 0, "ended: all 40 messages were delivered", values, 100.0
+    )
     for k in range(1, 11):
         state.push_sample(Sample(k, k * 10**9, 1.0, 2.0, 3.0), 100.0 + 2.0 * k)
     assert state.nodes.ended is not None
@@ -205,7 +260,12 @@ def test_a_page_that_is_behind_takes_the_last_samples_of_a_replay_that_has_ended
 def test_a_player_whose_last_word_was_lost_has_ended_at_the_end_only() -> None:
     for position, ended in (("13.0 s of 13.0 s", True), ("5.0 s of 13.0 s", False)):
         state = DashboardState()
-        values = {"rate": "50", "paused": "False", "position": position, "ended": "False"}
+        values = {
+            "rate": "50",
+            "paused": "False",
+            "position": position,
+            "ended": "False",
+        }
         state.push_health("player", 0, "playing", values, 100.0)
         state.nodes.expire(110.0)
         assert state.nodes.player is None
@@ -214,9 +274,13 @@ def test_a_player_whose_last_word_was_lost_has_ended_at_the_end_only() -> None:
 
 def test_the_help_of_the_page_and_its_document_are_the_same() -> None:
     document = (PROJECT / "docs" / "dashboard.md").read_text("utf-8")
-    page = (PROJECT / "src" / "twinmatch" / "showing" / "page" / "page.html").read_text("utf-8")
+    page = (PROJECT / "src" / "twinmatch" / "showing" / "page" / "page.html").read_text(
+        "utf-8"
+    )
     help_ = page[page.index('<details class="help"') : page.index("</details>")]
-    rows = re.findall(r'<th scope="row">(.*?)</th><td>(.*?)</td>\s*<td>(.*?)</td>', help_)
+    rows = re.findall(
+        r'<th scope="row">(.*?)</th><td>(.*?)</td>\s*<td>(.*?)</td>', help_
+    )
     assert len(rows) == 12
     for part, meaning, to_do in rows:
         assert f"| {part} | {meaning} | {to_do} |" in document, part

@@ -8,8 +8,12 @@ from typing import Any
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
-pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
+pytest.importorskip(
+    "bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'"
+)
 
 from tests.showing.page.test_page_in_browser import FITS, Graph
 from tests.support.ros import listening
@@ -41,20 +45,39 @@ def test_two_signals_are_side_by_side_and_what_one_should_read_is_said(
         graph = Graph(listener.node)
         graph.describe(TCLabBoth)
         started = page_process("--control")
-        for name in ("plant/description", "plant/sample", "twin/state", "twin/model_score", "plant/estimate"):
+        for name in (
+            "plant/description",
+            "plant/sample",
+            "twin/state",
+            "twin/model_score",
+            "plant/estimate",
+        ):
             browser.wait_for(lambda name=name: graph.heard(name), f"a reader of {name}")
         browser.open(started.url)
-        browser.wait_for(lambda: "temperature T2 / °C" in browser.text, "the plant's own words")
+        browser.wait_for(
+            lambda: "temperature T2 / °C" in browser.text, "the plant's own words"
+        )
         graph.session(two.samples[-200:], two)
         (course,) = two.estimates
         last = two.samples[-1]
-        course_fields = {"since": course.first, "wide": course.wide, "good": course.good}
-        estimate = EstimatedReading(last.index, course.signal, 31.8, 0.4, 36.8, **course_fields)
+        course_fields = {
+            "since": course.first,
+            "wide": course.wide,
+            "good": course.good,
+        }
+        estimate = EstimatedReading(
+            last.index, course.signal, 31.8, 0.4, 36.8, **course_fields
+        )
         graph.publish("plant/estimate", message_of(estimate, last.stamp))
         sentence = "the twin reads through temperature T2: 31.8 ± 0.4 °C instead of 36.8, to ± 1.2 good for"
         browser.wait_for(lambda: sentence in browser.text, "what it should read")
-        browser.wait_for(lambda: "sensor drift of temperature T2" in browser.text, "the fault")
-        browser.wait_for(lambda: browser.column("output_2", 0, "t")[-1:] == [last.index], "the last point")
+        browser.wait_for(
+            lambda: "sensor drift of temperature T2" in browser.text, "the fault"
+        )
+        browser.wait_for(
+            lambda: browser.column("output_2", 0, "t")[-1:] == [last.index],
+            "the last point",
+        )
         assert browser.column("output_2", 0, "output_2")[-1] == last.outputs[1]
         first, second, below = browser.run(PLACES)
         assert first[1] == second[1]
@@ -62,7 +85,9 @@ def test_two_signals_are_side_by_side_and_what_one_should_read_is_said(
         assert second[0] == below[0]
         assert second[1] < below[1]
         browser.run("document.querySelector('details.reasons').open = true")
-        browser.wait_for(lambda: "newest within band / %" in browser.text, "trust of each signal")
+        browser.wait_for(
+            lambda: "newest within band / %" in browser.text, "trust of each signal"
+        )
         assert browser.run(FITS)
         # Set-points of two loops travel in one message of another type; two types would be one too many.
         assert graph.node.count_publishers("plant/reference") == 0

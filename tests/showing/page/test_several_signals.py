@@ -9,7 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'")
+pytest.importorskip(
+    "bokeh", reason="bokeh is not installed; it is in the extra 'dashboard'"
+)
 
 from bokeh.document import Document
 
@@ -20,7 +22,12 @@ from twinmatch.offline.judging import Judgement
 from twinmatch.plants.records import description_of
 from twinmatch.plants.tclab import TCLabBoth
 from twinmatch.showing.page import panels
-from twinmatch.showing.page.state import DashboardState, DriveReport, TwinRow, update_sentence
+from twinmatch.showing.page.state import (
+    DashboardState,
+    DriveReport,
+    TwinRow,
+    update_sentence,
+)
 from twinmatch.showing.summary import sentence
 from twinmatch.showing.verdicts import trust_by_signal
 from twinmatch.twin import Mirror
@@ -41,13 +48,21 @@ def state(two: Judgement) -> DashboardState:
     for sample in two.samples:
         state.push_sample(sample, 0.0)
         twin = mirror.push(sample)
-        state.push_twin(sample.index, TwinRow(*(getattr(twin, name) for name in TwinRow._fields)))
+        state.push_twin(
+            sample.index, TwinRow(*(getattr(twin, name) for name in TwinRow._fields))
+        )
     for verdict in two.verdicts:
         state.push_verdict(verdict)
     (course,) = two.estimates
-    last = {"value": course.values[-1], "band": course.bands[-1], "reading": course.readings[-1]}
+    last = {
+        "value": course.values[-1],
+        "band": course.bands[-1],
+        "reading": course.readings[-1],
+    }
     course_fields = {"since": course.first, "wide": course.wide, "good": course.good}
-    state.push_estimate(EstimatedReading(course.last, course.signal, **last, **course_fields))
+    state.push_estimate(
+        EstimatedReading(course.last, course.signal, **last, **course_fields)
+    )
     update_sentence(state, two.settings)
     return state
 
@@ -57,21 +72,32 @@ def document(state: DashboardState) -> Document:
     return opened(state)[1]
 
 
-def test_every_signal_is_drawn_in_a_column_of_its_own(document: Document, two: Judgement) -> None:
+def test_every_signal_is_drawn_in_a_column_of_its_own(
+    document: Document, two: Judgement
+) -> None:
     rows = document.template_variables["charts"]
     assert rows == [[kind, f"{kind}_2"] for kind in KINDS]
-    labels = [document.get_model_by_name(name).yaxis[0].axis_label for name in (*rows[0], *rows[1])]
+    labels = [
+        document.get_model_by_name(name).yaxis[0].axis_label
+        for name in (*rows[0], *rows[1])
+    ]
     beside = [document.get_model_by_name(name) for row in rows for name in row]
     # One axis below all of them would line up with neither column.
     assert {chart.xaxis[0].major_label_text_font_size for chart in beside} == {"12px"}
     # Nothing can be asked of several loops, so nothing is said of an answer.
-    assert "what if" not in [item.label.value for chart in beside for item in chart.legend[0].items]
+    assert "what if" not in [
+        item.label.value for chart in beside for item in chart.legend[0].items
+    ]
     assert labels == [f"{T1} / °C", f"{T2} / °C", "heater 1 / %", "heater 2 / %"]
     shown = two.samples[-1200:]  # twenty minutes
     for k, ending in enumerate(("", "_2")):
         drawn = source(document, f"output{ending}").data
-        assert drawn[f"output{ending}"].tolist() == [sample.outputs[k] for sample in shown]
-        assert drawn[f"reference{ending}"].tolist() == [sample.references[k] for sample in shown]
+        assert drawn[f"output{ending}"].tolist() == [
+            sample.outputs[k] for sample in shown
+        ]
+        assert drawn[f"reference{ending}"].tolist() == [
+            sample.references[k] for sample in shown
+        ]
         assert source(document, f"control{ending}").data[f"input{ending}"].tolist() == [
             s.inputs[k] for s in shown
         ]
@@ -82,23 +108,39 @@ def test_every_signal_is_drawn_in_a_column_of_its_own(document: Document, two: J
             + twin[f"driven_output{ending}"]
         )
         assert np.abs(difference).max() < 1e-9
-        assert (twin[f"driven_rms_y{ending}_high"] == 2.0 * twin[f"driven_rms_y{ending}"]).all()
+        assert (
+            twin[f"driven_rms_y{ending}_high"] == 2.0 * twin[f"driven_rms_y{ending}"]
+        ).all()
 
 
 def test_each_forecast_is_drawn_on_its_signals_charts(state: DashboardState) -> None:
     time = np.arange(1.0, 61.0)
     made_at_sample = state.sample
     assert made_at_sample is not None
-    signals = [Band(np.full(60, float(k)), np.full(60, k - 1.0), np.full(60, k + 1.0)) for k in range(4)]
+    signals = [
+        Band(np.full(60, float(k)), np.full(60, k - 1.0), np.full(60, k + 1.0))
+        for k in range(4)
+    ]
     asked = np.tile([50.0, 40.0], (60, 1))
     outputs = tuple(signals[:2])
     inputs = tuple(signals[2:])
-    state.push_forecast(Forecast(made_at_sample, "twin", "", 0.9, time, asked, outputs, inputs))
+    state.push_forecast(
+        Forecast(made_at_sample, "twin", "", 0.9, time, asked, outputs, inputs)
+    )
     _, document = opened(state)
     for k, ending in enumerate(("", "_2")):
-        drawn = [r.data_source.data for r in document.get_model_by_name(f"output{ending}").renderers]
-        (ahead,) = {id(data): data for data in drawn if len(data.get("output_low", ())) == 60}.values()
-        assert (ahead["output"][0], ahead["output_high"][0], ahead["input"][0]) == (k, k + 1.0, k + 2.0)
+        drawn = [
+            r.data_source.data
+            for r in document.get_model_by_name(f"output{ending}").renderers
+        ]
+        (ahead,) = {
+            id(data): data for data in drawn if len(data.get("output_low", ())) == 60
+        }.values()
+        assert (ahead["output"][0], ahead["output_high"][0], ahead["input"][0]) == (
+            k,
+            k + 1.0,
+            k + 2.0,
+        )
         assert ahead["reference"][0] == asked[0, k]
     text = panels.first_screen(state)
     assert f"{T1}, {T2} in 60 s" in text
@@ -114,7 +156,12 @@ def test_its_texts_name_signals_trust_and_what_a_sensor_should_read(
     reading_sentence = f"the twin reads through {T2}: {course.values[-1]:.1f} ± {course.bands[-1]:.1f} °C"
     assert reading_sentence in first
     assert f"sensor drift of {T2}" in first
-    for words in (f"set-point of {T1} / °C", f"{T1} / °C", f"{T2} / °C", "plant&#x27;s heater 2 / %"):
+    for words in (
+        f"set-point of {T1} / °C",
+        f"{T1} / °C",
+        f"{T2} / °C",
+        "plant&#x27;s heater 2 / %",
+    ):
         assert words in tiles
     reasons = panels.reasons(two.verdicts[-1], 1.0, state.sentence)
     for row in trust_by_signal(two.verdicts[-1]):
@@ -125,11 +172,14 @@ def test_its_texts_name_signals_trust_and_what_a_sensor_should_read(
     assert "order" not in family
 
 
-def test_the_health_of_the_plant_is_what_was_said_when_the_fault_was_named(two: Judgement) -> None:
+def test_the_health_of_the_plant_is_what_was_said_when_the_fault_was_named(
+    two: Judgement,
+) -> None:
     named_at = next(k for k, verdict in enumerate(two.verdicts) if verdict.fault)
     named, *after = two.verdicts[named_at:]
     assert after
-    assert all(verdict.fault and verdict.reason != named.reason for verdict in after)  # of other things
+    # of other things
+    assert all(verdict.fault and verdict.reason != named.reason for verdict in after)
     whole = DashboardState(described=description_of(TCLabBoth))
     late = DashboardState(described=description_of(TCLabBoth))
     for verdict in two.verdicts:
@@ -140,13 +190,16 @@ def test_the_health_of_the_plant_is_what_was_said_when_the_fault_was_named(two: 
         words = panels.first_screen(state)
         assert f"since {named.fault_since} s: {named.reason}" in words
         assert two.verdicts[-1].reason not in words
-    whole.push_plant_report("drive-lost: the drive does nothing")  # of a verdict that is yet to be received
+    # of a verdict that is yet to be received
+    whole.push_plant_report("drive-lost: the drive does nothing")
     assert whole.fault_reason == named.reason
     whole.push_verdict(replace(two.verdicts[-1], fault="", fault_signal=""))
     assert whole.fault_reason == ""
 
 
-def test_what_was_applied_after_a_played_session_is_not_shown_beside_its_last_sample(two: Judgement) -> None:
+def test_what_was_applied_after_a_played_session_is_not_shown_beside_its_last_sample(
+    two: Judgement,
+) -> None:
     state = DashboardState(described=description_of(TCLabBoth))
     state.push_sample(two.samples[0], 0.0)
     state.push_drive(DriveReport((0.0, 0.0), math.nan, ""))
@@ -163,5 +216,7 @@ def test_an_estimate_goes_when_it_is_over(two: Judgement) -> None:
         state.push_sample(sample, 0.0)
         if sample.index < 10:
             good = {"since": 0, "wide": 1.2, "good": 60.0}
-            state.push_estimate(EstimatedReading(sample.index, "temperature", 41.0, 0.5, 46.0, **good))
+            state.push_estimate(
+                EstimatedReading(sample.index, "temperature", 41.0, 0.5, 46.0, **good)
+            )
         assert bool(state.read_through) is (sample.index <= 14)

@@ -89,7 +89,9 @@ def test_envelope_keeps_the_order_within_a_group_and_shows_what_is_missing() -> 
     stride=st.integers(1, 7),
     capacity=st.integers(50, 90),
 )
-def test_reading_piece_by_piece_is_reading_all(pushes: list[int], stride: int, capacity: int) -> None:
+def test_reading_piece_by_piece_is_reading_all(
+    pushes: list[int], stride: int, capacity: int
+) -> None:
     """A reader that looks before rows are forgotten sees every group once, in order."""
     history = RollingTable(("value",), capacity)
     row = 0
@@ -111,7 +113,9 @@ SECOND = 1_000_000_000
 
 
 def sample(index: int, period: float = 1.0, temperature: float = 40.0) -> Sample:
-    return Sample(index, 10**18 + round(index * period * SECOND), 50.0, temperature, 20.0)
+    return Sample(
+        index, 10**18 + round(index * period * SECOND), 50.0, temperature, 20.0
+    )
 
 
 def twin_row(value: float) -> TwinRow:
@@ -144,7 +148,12 @@ def test_indices_that_start_over_are_a_new_session(judged: Judgement) -> None:
         state.push_twin(k, twin_row(1.0))
     state.push_verdict(judged.verdicts[-1])
     state.push_sample(sample(0), 0.0)
-    assert (state.session, state.sample, state.plant.count, state.twin.count) == (2, 0, 1, 0)
+    assert (state.session, state.sample, state.plant.count, state.twin.count) == (
+        2,
+        0,
+        1,
+        0,
+    )
     assert state.verdict is None
     assert not state.tally.stretches
     newest = state.events[-1]
@@ -153,7 +162,9 @@ def test_indices_that_start_over_are_a_new_session(judged: Judgement) -> None:
     assert {e.session for e in list(state.events)[:-1]} == {1}
 
 
-def test_the_twins_rows_of_a_new_session_may_come_first_and_a_late_one_of_the_old_does_no_harm() -> None:
+def test_the_twins_rows_of_a_new_session_may_come_first_and_a_late_one_of_the_old_does_no_harm() -> (
+    None
+):
     for early in (True, False):
         state = DashboardState()
         for k in range(10):
@@ -213,12 +224,16 @@ def test_a_fault_is_reported_when_it_comes_and_when_it_goes() -> None:
 
 
 @pytest.mark.parametrize("heard", [0, 1, 2, 5])
-def test_a_fault_is_dated_by_its_stamp_whatever_was_received_before_it(heard: int) -> None:
+def test_a_fault_is_dated_by_its_stamp_whatever_was_received_before_it(
+    heard: int,
+) -> None:
     state = DashboardState()
     samples = [sample(k, 0.5) for k in range(3, 8)]
     for pushed in samples[:heard]:
         state.push_sample(pushed, 0.0)
-    state.push_drive(DriveReport(0.0, math.nan, "stopped: as asked", samples[1].stamp + 125_000_000))
+    state.push_drive(
+        DriveReport(0.0, math.nan, "stopped: as asked", samples[1].stamp + 125_000_000)
+    )
     for pushed in samples[heard:]:
         state.push_sample(pushed, 0.0)
     assert [event.time(0.5) for event in state.events] == [2.125]
@@ -239,7 +254,11 @@ def test_the_player_is_known_by_what_it_reports_and_goes_when_it_falls_silent() 
     state.push_health("rig_a/player: health", 0, "paused", values, 10.0)
     player = state.nodes.player
     assert player is not None
-    assert (player.rate, player.paused, player.position) == (50.0, True, "12.0 s of 300.0 s")
+    assert (player.rate, player.paused, player.position) == (
+        50.0,
+        True,
+        "12.0 s of 300.0 s",
+    )
     state.nodes.expire(13.0)
     assert state.nodes.player is not None
     state.nodes.expire(15.0)
@@ -269,10 +288,18 @@ def test_it_takes_no_more_room_however_long(judged: Judgement) -> None:
             if k % 20 == 0:
                 verdict = judged.verdicts[k // 20 % len(judged.verdicts)]
                 level = list(TrustLevel)[k // 20 % 4]
-                state.push_verdict(replace(verdict, sample=k, first=max(0, k - 20), level=level))
-                state.push_drive(DriveReport(0.0, 0.5, "stopped: as asked" if k % 40 else ""))
+                state.push_verdict(
+                    replace(verdict, sample=k, first=max(0, k - 20), level=level)
+                )
+                state.push_drive(
+                    DriveReport(0.0, 0.5, "stopped: as asked" if k % 40 else "")
+                )
                 state.push_health(
-                    f"node {k % 1000}: health", k % 3, f"message {k}", {"key": "value"}, 0.1 * k
+                    f"node {k % 1000}: health",
+                    k % 3,
+                    f"message {k}",
+                    {"key": "value"},
+                    0.1 * k,
                 )
                 state.push_image(images[k // 20 % 2])
 
@@ -299,7 +326,9 @@ def summed_up(samples: Sequence[Sample], verdicts: Sequence[Verdict]) -> str:
     return state.sentence
 
 
-def test_the_sentence_is_the_terminals_and_empty_before_there_are_candidates(judged: Judgement) -> None:
+def test_the_sentence_is_the_terminals_and_empty_before_there_are_candidates(
+    judged: Judgement,
+) -> None:
     text = summed_up(judged.samples, judged.verdicts)
     assert text == sentence(judged.summary)
     assert judged.summary.leader in text

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
 
 from tests.support.recorded import write_judged
 from tests.support.rig import rig, run
@@ -27,14 +29,18 @@ pytestmark = pytest.mark.ros
 def judged() -> tuple[list[Sample], list[Outcome], dict[str, Any]]:
     """Samples, what a twin said of them, and its parameters, which are not the defaults."""
     reference = np.repeat([30.0, 60.0, 40.0], [60, 250, 120])
-    samples = samples_of(run(rig(seebeck=0.07, conductance=0.5, heat_capacity=27.0), reference, seed=3))
+    samples = samples_of(
+        run(rig(seebeck=0.07, conductance=0.5, heat_capacity=27.0), reference, seed=3)
+    )
     values = twin_values("twin", {"decimals": 1})
     twin = Twin(settings_from(values))
     return samples, [twin.push(sample) for sample in samples], values
 
 
 @pytest.fixture
-def record(judged: tuple[list[Sample], list[Outcome], dict[str, Any]], tmp_path: Path) -> Callable[..., Path]:
+def record(
+    judged: tuple[list[Sample], list[Outcome], dict[str, Any]], tmp_path: Path
+) -> Callable[..., Path]:
     """A session as the recorder makes one."""
     return lambda **changed: write_judged(tmp_path / "run", *judged, **changed)
 
@@ -59,7 +65,9 @@ def test_a_session_with_verdicts_is_judged_once_with_its_parameters_and_they_agr
     assert pushed == [sample.index for sample in judged_session.session.samples]
 
 
-def test_verdicts_that_differ_are_reported_with_the_first_difference(record: Callable[..., Path]) -> None:
+def test_verdicts_that_differ_are_reported_with_the_first_difference(
+    record: Callable[..., Path],
+) -> None:
     def spoil(_matches: list[Any], scores: list[Any]) -> None:
         for score in scores:
             score.nominal = "invented"
@@ -70,7 +78,9 @@ def test_verdicts_that_differ_are_reported_with_the_first_difference(record: Cal
     assert "nominal was recorded as 'invented'" in judged.recorded
 
 
-def test_verdicts_that_cannot_be_compared_are_reported_too(record: Callable[..., Path]) -> None:
+def test_verdicts_that_cannot_be_compared_are_reported_too(
+    record: Callable[..., Path],
+) -> None:
     judged = judge_for_report(record(nodes=()))
     assert judged.identical is None
     assert "could not be compared" in judged.recorded

@@ -40,7 +40,16 @@ from twinmatch.twin import TwinSettings
 
 from .conftest import Element, grid, parse, tables_of
 
-LOADS = {"src", "href", "srcset", "data", "poster", "action", "background", "xlink:href"}
+LOADS = {
+    "src",
+    "href",
+    "srcset",
+    "data",
+    "poster",
+    "action",
+    "background",
+    "xlink:href",
+}
 
 
 @pytest.fixture(scope="session")
@@ -48,7 +57,9 @@ def page(shipped_page: str) -> Element:
     return parse(shipped_page)
 
 
-def test_the_document_is_html_and_says_what_it_is(page: Element, shipped_page: str) -> None:
+def test_the_document_is_html_and_says_what_it_is(
+    page: Element, shipped_page: str
+) -> None:
     assert shipped_page.lstrip().startswith("<!DOCTYPE html>")
     assert next(page.all("html")).attributes["lang"] == "en"
     assert next(page.all("title")).text == "twinmatch report: four_setpoints"
@@ -59,16 +70,27 @@ def test_the_document_is_html_and_says_what_it_is(page: Element, shipped_page: s
         assert link.attributes["href"].removeprefix("#") in ids
 
 
-def test_nothing_is_loaded_and_no_script_is_needed(page: Element, shipped_page: str) -> None:
+def test_nothing_is_loaded_and_no_script_is_needed(
+    page: Element, shipped_page: str
+) -> None:
     assert not list(page.all("script"))
     assert not list(page.all("link"))
     assert not list(page.all("iframe"))
-    elements = [page, *(e for tag in ("img", "a", "svg", "use", "style", "meta") for e in page.all(tag))]
+    elements = [
+        page,
+        *(
+            e
+            for tag in ("img", "a", "svg", "use", "style", "meta")
+            for e in page.all(tag)
+        ),
+    ]
     for element in elements:
         for name, value in element.attributes.items():
             assert not name.startswith("on")
             if name in LOADS:
-                assert value.startswith(("data:", "#")), f"<{element.tag} {name}={value[:60]}>"
+                assert value.startswith(("data:", "#")), (
+                    f"<{element.tag} {name}={value[:60]}>"
+                )
     style = next(page.all("style")).text
     assert "@import" not in style
     assert "url(" not in style
@@ -81,7 +103,9 @@ def test_it_is_made_for_printing(page: Element) -> None:
     assert "@media print" in style
 
 
-def test_every_picture_is_there_with_words_for_those_who_cannot_see_it(page: Element) -> None:
+def test_every_picture_is_there_with_words_for_those_who_cannot_see_it(
+    page: Element,
+) -> None:
     images = list(page.all("img"))
     assert len(images) == 9
     for image in images:
@@ -90,14 +114,21 @@ def test_every_picture_is_there_with_words_for_those_who_cannot_see_it(page: Ele
         svg = base64.b64decode(data)
         assert ET.fromstring(svg).tag.endswith("svg")
         assert not re.search(rb"<script|(href|src)=\"http", svg)
-        assert (b"<image" in svg) is image.attributes["alt"].startswith("Shaded matrix"), (
-            "the others are drawings"
-        )
+        assert (b"<image" in svg) is image.attributes["alt"].startswith(
+            "Shaded matrix"
+        ), "the others are drawings"
         assert len(image.attributes["alt"]) > 60
-    assert "trusted" in next(i for i in images if "Trust over time" in i.attributes["alt"]).attributes["alt"]
+    assert (
+        "trusted"
+        in next(
+            i for i in images if "Trust over time" in i.attributes["alt"]
+        ).attributes["alt"]
+    )
 
 
-def test_the_sentence_and_the_level_head_the_report(page: Element, shipped: SessionReport) -> None:
+def test_the_sentence_and_the_level_head_the_report(
+    page: Element, shipped: SessionReport
+) -> None:
     header = next(page.all("header")).text
     assert sentence(shipped.judged.judgement.summary) in header
     assert "trusted" in header
@@ -111,7 +142,9 @@ def test_criterion_tables_hold_the_verdict_and_the_best_is_bold(
     decimals = {"gain": 0, "explanation": 3, "naic": 3, "bic": 1, "mdl": 4}
     for candidate in verdict.modelled:
         mark = ", nominal" if candidate.name == verdict.nominal else ""
-        table = tables[f"Candidate {candidate.name}{mark}: order {candidate.chosen_order} chosen"]
+        table = tables[
+            f"Candidate {candidate.name}{mark}: order {candidate.chosen_order} chosen"
+        ]
         names = [h.text.split(" / ")[0] for h in next(table.all("thead")).all("th")]
         rows = grid(table)
         assert len(rows) == 12
@@ -126,8 +159,13 @@ def test_criterion_tables_hold_the_verdict_and_the_best_is_bold(
                 name = {"gain": "gain", "explanation": "explained", "naic": "nAIC"}.get(
                     attribute, attribute.upper()
                 )
-                values = [float(getattr(getattr(o, output), attribute)) for o in candidate.orders]
-                best = max(values) if attribute in {"gain", "explanation"} else min(values)
+                values = [
+                    float(getattr(getattr(o, output), attribute))
+                    for o in candidate.orders
+                ]
+                best = (
+                    max(values) if attribute in {"gain", "explanation"} else min(values)
+                )
                 for row, value in zip(part, values, strict=True):
                     cell = row[names.index(name)]
                     assert cell.text == number(value, places)
@@ -138,7 +176,9 @@ def texts_of(row: list[Element]) -> list[str]:
     return [cell.text for cell in row]
 
 
-def test_forecasts_stand_beside_the_measurements_and_the_peers(page: Element, shipped: SessionReport) -> None:
+def test_forecasts_stand_beside_the_measurements_and_the_peers(
+    page: Element, shipped: SessionReport
+) -> None:
     tested = shipped.judged.tested
     tables = tables_of(page)
     for horizon in tested.horizons:
@@ -154,7 +194,9 @@ def test_forecasts_stand_beside_the_measurements_and_the_peers(page: Element, sh
         assert line in page.text
 
 
-def test_its_forecasts_stand_beside_the_measurements(page: Element, shipped: SessionReport) -> None:
+def test_its_forecasts_stand_beside_the_measurements(
+    page: Element, shipped: SessionReport
+) -> None:
     samples = {s.index: s for s in shipped.judged.judgement.samples}
     shown = {f.sample: f for f in shipped.judged.tested.shown}
     rows = grid(tables_of(page)["Forecasts of the leader, and the measurements"])
@@ -164,9 +206,14 @@ def test_its_forecasts_stand_beside_the_measurements(page: Element, shipped: Ses
         last = samples[forecast.sample + forecast.time.size]
         levels = [float(level) for level in row[2].text.split(" → ")]
         assert row[1].text == forecast.candidate
-        assert (levels[0], levels[-1]) == (samples[forecast.sample + 1].reference, last.reference)
+        assert (levels[0], levels[-1]) == (
+            samples[forecast.sample + 1].reference,
+            last.reference,
+        )
         assert row[4].text == f"{last.output:.1f}"
-        came = np.array([samples[forecast.sample + 1 + k].output for k in range(forecast.time.size)])
+        came = np.array(
+            [samples[forecast.sample + 1 + k].output for k in range(forecast.time.size)]
+        )
         assert float(row[5].text) == pytest.approx(
             np.sqrt(np.mean((came - forecast.output.mean) ** 2)), abs=5.1e-3
         )
@@ -180,7 +227,11 @@ def test_gaps_of_plants_and_of_identified_models_have_a_table_each(
 ) -> None:
     verdict = shipped.judged.judgement.verdicts[-1]
     sums = [c.nu_gap_sum for c in verdict.candidates]
-    identified = [c.identified_gap_sum for c in verdict.candidates if np.isfinite(c.identified_gap_sum)]
+    identified = [
+        c.identified_gap_sum
+        for c in verdict.candidates
+        if np.isfinite(c.identified_gap_sum)
+    ]
     for between, gaps, expected_sums in (
         ("plants", verdict.nu_gap, sums),
         (f"models of order {verdict.order}", verdict.identified_gap, identified),
@@ -188,12 +239,16 @@ def test_gaps_of_plants_and_of_identified_models_have_a_table_each(
         rows = grid(tables_of(page)[f"ν-gap between the {between}"])
         count = len(gaps)
         shown = np.array([texts_of(row[1 : count + 2]) for row in rows], dtype=float)
-        np.testing.assert_allclose(shown, np.column_stack([gaps, expected_sums]), atol=5.1e-4)
+        np.testing.assert_allclose(
+            shown, np.column_stack([gaps, expected_sums]), atol=5.1e-4
+        )
         bold = [k for k, row in enumerate(rows) if "best" in row[count + 1].classes]
         assert bold == [int(np.argmin(expected_sums))]
 
 
-def test_nominal_parameters_have_units_errors_and_intervals(page: Element, shipped: SessionReport) -> None:
+def test_nominal_parameters_have_units_errors_and_intervals(
+    page: Element, shipped: SessionReport
+) -> None:
     nominal = shipped.nominal
     assert nominal is not None
     assert nominal.match is not None
@@ -211,17 +266,30 @@ def test_nominal_parameters_have_units_errors_and_intervals(page: Element, shipp
     assert rows["R"][4:6] == ["–", "–"]
 
 
-def test_coefficients_are_those_of_the_models_that_were_scored(page: Element, shipped: SessionReport) -> None:
+def test_coefficients_are_those_of_the_models_that_were_scored(
+    page: Element, shipped: SessionReport
+) -> None:
     """What the table prints, run as a difference equation, explains the data as the verdict says."""
     from twinmatch.comparing import score
 
     nominal = shipped.nominal
     assert nominal is not None
-    scored = tuple(score(m, nominal.measured, 2, absolute=Peltier.output.absolute) for m in nominal.models)
-    assert [s.total.gain for s in scored] == [o.total.gain for o in nominal.score.orders]
-    rows = grid(tables_of(page)[f"Box–Jenkins models of candidate {nominal.score.name}, nominal"])
+    scored = tuple(
+        score(m, nominal.measured, 2, absolute=Peltier.output.absolute)
+        for m in nominal.models
+    )
+    assert [s.total.gain for s in scored] == [
+        o.total.gain for o in nominal.score.orders
+    ]
+    rows = grid(
+        tables_of(page)[
+            f"Box–Jenkins models of candidate {nominal.score.name}, nominal"
+        ]
+    )
     assert [(r[0].text, r[1].text) for r in rows] == [
-        (output, polynomial) for output in ("output y/r", "control u/r") for polynomial in "BCDF"
+        (output, polynomial)
+        for output in ("output y/r", "control u/r")
+        for polynomial in "BCDF"
     ]
     for k, model in enumerate(nominal.models):
         for j, row in enumerate(rows):
@@ -240,12 +308,16 @@ def test_the_files_of_the_session_are_named_with_their_hashes(page: Element) -> 
 
 
 def test_the_report_says_how_it_was_made(page: Element) -> None:
-    rows = {r[0].text: r[1].text for r in grid(tables_of(page)["How the report was made"])}
+    rows = {
+        r[0].text: r[1].text for r in grid(tables_of(page)["How the report was made"])
+    }
     assert rows["command"] == "twinmatch report bags/four_setpoints"
     assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d[+-]\d\d:\d\d", rows["made"])
     assert rows["numpy"] == np.__version__
     assert {"twinmatch", "Python", "scipy", "numba"} <= set(rows)
-    parameters = next(t for c, t in tables_of(page).items() if c.startswith("All parameters"))
+    parameters = next(
+        t for c, t in tables_of(page).items() if c.startswith("All parameters")
+    )
     shown = {r[0].text: r[1].text for r in grid(parameters)}
     assert shown["schedule.stride"] == "60"
     assert shown["pid.proportional"] == "38.57"
@@ -257,15 +329,28 @@ def test_a_parameter_that_is_not_the_default_is_marked() -> None:
     assert changed == ["decimals"]
 
 
-def test_a_library_without_metadata_has_no_known_version(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_without_metadata_has_no_known_version(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """It may be used from a folder; the report is made all the same."""
-    monkeypatch.setattr("twinmatch.showing.report.report._LIBRARIES", ("numpy", "no-such-library"))
-    versions = dict(provenance(SHIPPED, TwinSettings(), "", datetime.now(timezone.utc)).versions)
-    assert (versions["numpy"], versions["no-such-library"]) == (np.__version__, "version unknown")
+    monkeypatch.setattr(
+        "twinmatch.showing.report.report._LIBRARIES", ("numpy", "no-such-library")
+    )
+    versions = dict(
+        provenance(SHIPPED, TwinSettings(), "", datetime.now(timezone.utc)).versions
+    )
+    assert (versions["numpy"], versions["no-such-library"]) == (
+        np.__version__,
+        "version unknown",
+    )
 
 
-def test_figures_are_written_as_pictures_too(shipped: SessionReport, tmp_path: Path) -> None:
-    [path] = write_pictures({"nu_gap": shipped.pictures["nu_gap"]}, tmp_path / "figures", "png")
+def test_figures_are_written_as_pictures_too(
+    shipped: SessionReport, tmp_path: Path
+) -> None:
+    [path] = write_pictures(
+        {"nu_gap": shipped.pictures["nu_gap"]}, tmp_path / "figures", "png"
+    )
     assert path.name == "nu_gap.png"
     assert path.read_bytes().startswith(b"\x89PNG")
 
@@ -274,7 +359,11 @@ def test_figures_are_written_as_pictures_too(shipped: SessionReport, tmp_path: P
 
 
 def simulated(reference: np.ndarray, **changes: float) -> Window:
-    return run(rig(seebeck=0.06, conductance=0.5, heat_capacity=27.0).replace(**changes), reference, seed=5)
+    return run(
+        rig(seebeck=0.06, conductance=0.5, heat_capacity=27.0).replace(**changes),
+        reference,
+        seed=5,
+    )
 
 
 @pytest.mark.parametrize(
@@ -282,7 +371,9 @@ def simulated(reference: np.ndarray, **changes: float) -> Window:
     [np.full(200, 40.0), np.repeat([30.0, 50.0], 45)],
     ids=["no step", "too short"],
 )
-def test_a_session_without_a_verdict_says_so(reference: np.ndarray, tmp_path: Path) -> None:
+def test_a_session_without_a_verdict_says_so(
+    reference: np.ndarray, tmp_path: Path
+) -> None:
     session = write_session(tmp_path / "short", samples_of(simulated(reference)))
     report = make_report(session)
     document = parse(report.html())
@@ -332,7 +423,9 @@ def test_a_recording_as_csv_is_reported_like_a_session(tmp_path: Path) -> None:
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["time", "reference", "temperature", "pwm"])
-        writer.writerows(zip(window.time, window.reference, window.output, window.input, strict=True))
+        writer.writerows(
+            zip(window.time, window.reference, window.output, window.input, strict=True)
+        )
     judged = judge_for_report(path)
     assert judged.judgement.summary.nominal is not None
     assert "has no recorded verdicts" in judged.recorded
@@ -340,7 +433,9 @@ def test_a_recording_as_csv_is_reported_like_a_session(tmp_path: Path) -> None:
     assert [f.name for f in origin.files] == ["bench.csv"]
 
 
-def test_a_faulty_plant_is_reported_as_one(recordings: dict[int, Path], tmp_path: Path) -> None:
+def test_a_faulty_plant_is_reported_as_one(
+    recordings: dict[int, Path], tmp_path: Path
+) -> None:
     """The rig lost its drive at sample 2239 of this hour: twins before it, refusals after it."""
     if 27 not in recordings:
         pytest.skip("recording 27 is not there")
@@ -353,13 +448,17 @@ def test_a_faulty_plant_is_reported_as_one(recordings: dict[int, Path], tmp_path
     assert "refused" in tables_of(document)["What happened"].text
 
 
-def test_the_same_session_gives_the_same_document(shipped: SessionReport, shipped_page: str) -> None:
+def test_the_same_session_gives_the_same_document(
+    shipped: SessionReport, shipped_page: str
+) -> None:
     assert shipped.html() == shipped_page
     for name in ("health", "parameters", "nu_gap"):
         assert svg(shipped.pictures[name].draw()) == shipped.pictures[name].svg
 
 
-def test_what_cannot_be_written_is_one_message(shipped: SessionReport, tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_one_message(
+    shipped: SessionReport, tmp_path: Path
+) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(TwinmatchError, match="cannot be written"):
         shipped.write(tmp_path / "no" / "report.html")

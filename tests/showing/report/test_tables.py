@@ -10,7 +10,12 @@ import numpy as np
 from tests.support.rig import rig
 from twinmatch.comparing import REFUSED, CandidateScore, Verdict
 from twinmatch.showing.report.report import SessionReport
-from twinmatch.showing.report.tables import gap_table, match_table, nominal_table, order_table
+from twinmatch.showing.report.tables import (
+    gap_table,
+    match_table,
+    nominal_table,
+    order_table,
+)
 from twinmatch.showing.report.words import duration
 
 from .conftest import grid, parse, tables_of
@@ -23,7 +28,10 @@ def verdict_of(report: SessionReport) -> Verdict:
 
 
 def silent_candidate(candidate: CandidateScore) -> CandidateScore:
-    orders = [replace(order, weight=math.nan, aic_difference=math.nan) for order in candidate.orders]
+    orders = [
+        replace(order, weight=math.nan, aic_difference=math.nan)
+        for order in candidate.orders
+    ]
     return replace(
         candidate,
         margin=None,
@@ -38,7 +46,13 @@ def silent_candidate(candidate: CandidateScore) -> CandidateScore:
 def silent(verdict: Verdict) -> Verdict:
     """The verdict with nothing said of how sure it is."""
     candidates = tuple(map(silent_candidate, verdict.candidates))
-    return replace(verdict, candidates=candidates, certainty="", structure="", structure_parameters=None)
+    return replace(
+        verdict,
+        candidates=candidates,
+        certainty="",
+        structure="",
+        structure_parameters=None,
+    )
 
 
 def telling_candidate(candidate: CandidateScore, number: int) -> CandidateScore:
@@ -46,7 +60,9 @@ def telling_candidate(candidate: CandidateScore, number: int) -> CandidateScore:
     differences = (0.0, 2.5, 3.9, 40.0)
     orders = [
         replace(order, weight=weight, aic_difference=difference)
-        for order, weight, difference in zip(candidate.orders, weights, differences, strict=True)
+        for order, weight, difference in zip(
+            candidate.orders, weights, differences, strict=True
+        )
     ]
     return replace(
         candidate,
@@ -60,11 +76,15 @@ def telling_candidate(candidate: CandidateScore, number: int) -> CandidateScore:
 
 
 def telling(verdict: Verdict) -> Verdict:
-    candidates = tuple(telling_candidate(c, number) for number, c in enumerate(verdict.modelled))
+    candidates = tuple(
+        telling_candidate(c, number) for number, c in enumerate(verdict.modelled)
+    )
     return replace(
         verdict,
         candidates=candidates,
-        nu_gap=tuple(row[: len(candidates)] for row in verdict.nu_gap[: len(candidates)]),
+        nu_gap=tuple(
+            row[: len(candidates)] for row in verdict.nu_gap[: len(candidates)]
+        ),
         certainty="the choice is certain",
         structure="sink with mass",
         structure_parameters=RIG,
@@ -92,15 +112,23 @@ def test_what_is_known_of_the_uncertainty_is_shown(shipped: SessionReport) -> No
     assert [c.best for c in weights.rows[0]][1:5] == [True, False, False, False]
 
 
-def test_certainty_structure_and_weights_are_on_the_page(shipped: SessionReport) -> None:
+def test_certainty_structure_and_weights_are_on_the_page(
+    shipped: SessionReport,
+) -> None:
     judgement = shipped.judged.judgement
-    telling_judgement = replace(judgement, verdicts=(*judgement.verdicts[:-1], telling(verdict_of(shipped))))
-    text = replace(shipped, judged=replace(shipped.judged, judgement=telling_judgement)).html()
+    telling_judgement = replace(
+        judgement, verdicts=(*judgement.verdicts[:-1], telling(verdict_of(shipped)))
+    )
+    text = replace(
+        shipped, judged=replace(shipped.judged, judgement=telling_judgement)
+    ).html()
     document = parse(text)
     assert "The choice is certain." in text
     rows = {
         row[0].text: row[2].text
-        for row in grid(tables_of(document)["Peltier rig with the structure “sink with mass”"])
+        for row in grid(
+            tables_of(document)["Peltier rig with the structure “sink with mass”"]
+        )
     }
     assert rows["C_S"] == "250"
     assert "Akaike weights of the orders" in tables_of(document)
@@ -136,7 +164,9 @@ def test_a_refused_match_is_reported_with_its_reason(shipped: SessionReport) -> 
     assert {c.text for c in table.rows[0][3:-3]} == {"–"}
 
 
-def test_a_window_that_was_refused_unfitted_is_among_the_matches(shipped: SessionReport) -> None:
+def test_a_window_that_was_refused_unfitted_is_among_the_matches(
+    shipped: SessionReport,
+) -> None:
     judgement = shipped.judged.judgement
     reason = "not matched: sensor-drift since sample 5"
     refused = replace(judgement.verdicts[0], sample=3, match=REFUSED, reason=reason)

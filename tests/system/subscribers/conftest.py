@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
-pytest.importorskip("twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup")
+pytest.importorskip(
+    "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
+)
 
 from tests.support.places import PROJECT
 from tests.support.processes import Process, Processes
@@ -21,7 +23,11 @@ from twinmatch.sessions import read_session, write_session
 HERE = Path(__file__).resolve().parent
 LENGTH = 640
 """Samples of the session: enough for two nominal candidates."""
-WHEELS = {n: os.environ[n] for n in ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE") if n in os.environ}
+WHEELS = {
+    n: os.environ[n]
+    for n in ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
+    if n in os.environ
+}
 """Where the libraries of wheels are found by a process that was forked."""
 
 
@@ -38,17 +44,25 @@ class Programs:
         self._environment = environment
         self._processes = Processes(folder / "output")
 
-    def start(self, *command: object, python: str = sys.executable, **variables: str) -> Process:
+    def start(
+        self, *command: object, python: str = sys.executable, **variables: str
+    ) -> Process:
         """Start a Python program with a stranger's environment and these variables."""
         environment = {**self._environment, **variables}
-        return self._processes.start(python, *command, environment=environment, folder=self._folder)
+        return self._processes.start(
+            python, *command, environment=environment, folder=self._folder
+        )
 
     def start_ours(self, *command: object, **variables: str) -> Process:
         """Start a program of twinmatch beside them, with these variables: its start is not what is tested."""
         environment = {**self._environment, **WHEELS, **variables}
-        return self._processes.python(*command, environment=environment, folder=self._folder)
+        return self._processes.python(
+            *command, environment=environment, folder=self._folder
+        )
 
-    def start_reader(self, *arguments: str, python: str = sys.executable, **variables: str) -> Process:
+    def start_reader(
+        self, *arguments: str, python: str = sys.executable, **variables: str
+    ) -> Process:
         """Start reader.py and wait until it has subscribed."""
         program = self.start(HERE / "reader.py", *arguments, python=python, **variables)
         program.said("^ready$")
@@ -67,11 +81,23 @@ def stranger(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """
     inherited_names = ["PATH", "LANG"]
     if not (Path(sys.prefix) / "share" / "rclpy").is_dir():
-        inherited_names += ["PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "ROS_DISTRO"]
-    environment = {name: os.environ[name] for name in inherited_names if name in os.environ}
+        inherited_names += [
+            "PYTHONPATH",
+            "LD_LIBRARY_PATH",
+            "AMENT_PREFIX_PATH",
+            "ROS_DISTRO",
+        ]
+    environment = {
+        name: os.environ[name] for name in inherited_names if name in os.environ
+    }
     home = tmp_path_factory.mktemp("home")
     prepared = {"TWINMATCH_CACHE": str(cache_folder()), "OMP_NUM_THREADS": "1"}
-    return {**environment, **prepared, "HOME": str(home), "ROS_DOMAIN_ID": str(domain())}
+    return {
+        **environment,
+        **prepared,
+        "HOME": str(home),
+        "ROS_DOMAIN_ID": str(domain()),
+    }
 
 
 @pytest.fixture

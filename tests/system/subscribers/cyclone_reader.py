@@ -52,7 +52,7 @@ stop_requested = False
 
 
 def request_stop(*_: object) -> None:
-    global stop_requested  # noqa: PLW0603 — all a signal can reach
+    global stop_requested  # noqa: PLW0603
     stop_requested = True
 
 
@@ -66,13 +66,23 @@ def main() -> None:
     number = int(os.environ["ROS_DOMAIN_ID"])
     domain = Domain(number, LOOPBACK)
     participant = DomainParticipant(number)
-    reliable = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepAll)
-    reader = DataReader(participant, Topic(participant, "rt/plant/sample", LoopSample), qos=reliable)
+    reliable = Qos(
+        Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepAll
+    )
+    reader = DataReader(
+        participant, Topic(participant, "rt/plant/sample", LoopSample), qos=reliable
+    )
     print("ready", flush=True)
     while not stop_requested:
         for message in reader.take(1000):
-            if isinstance(message, LoopSample):  # what else comes says that a writer has gone
-                values = [message.index, *message.reference, *message.output, *message.input]
+            if isinstance(message, LoopSample):
+                # what else comes says that a writer has gone
+                values = [
+                    message.index,
+                    *message.reference,
+                    *message.output,
+                    *message.input,
+                ]
                 print(json.dumps([stamp(message.header), *values]), flush=True)
         time.sleep(0.01)
     del reader, participant, domain

@@ -31,6 +31,8 @@ def key_of(sources: Path, *files: Path) -> str:
     digest = hashlib.sha256(f"{sys.version} {sys.prefix}".encode())
     for path in (*depends_on(sources), *files):
         digest.update(path.name.encode() + path.read_bytes())
-    wheels = sorted(f"{d.name}=={d.version}" for d in distributions() if d.name.startswith("ros-"))
+    wheels = sorted(
+        f"{d.name}=={d.version}" for d in distributions() if d.name.startswith("ros-")
+    )
     digest.update(" ".join(wheels).encode())
     return digest.hexdigest()[:16]

@@ -22,21 +22,26 @@ from rclpy.signals import SignalHandlerOptions
 QOS = {
     "usual": QoSProfile(depth=10),
     "latched": QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
-    "everything": QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE),
+    "everything": QoSProfile(
+        history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE
+    ),
 }
 
 stop_requested = False
 
 
 def request_stop(*_: object) -> None:
-    global stop_requested  # noqa: PLW0603 — all a signal can reach
+    global stop_requested  # noqa: PLW0603
     stop_requested = True
 
 
 def plain(value: Any) -> Any:
     """A message as JSON has it."""
     if hasattr(value, "get_fields_and_field_types"):
-        return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
+        return {
+            name: plain(getattr(value, name))
+            for name in value.get_fields_and_field_types()
+        }
     if isinstance(value, str) or not hasattr(value, "__len__"):
         return value
     return [plain(element) for element in value]
@@ -53,13 +58,19 @@ def main() -> None:
     def show(message: Any) -> None:
         print(json.dumps(plain(message)), flush=True)
 
-    node.create_subscription(getattr(importlib.import_module(f"{package}.msg"), kind), sys.argv[2], show, qos)
+    node.create_subscription(
+        getattr(importlib.import_module(f"{package}.msg"), kind), sys.argv[2], show, qos
+    )
     print("ready", flush=True)
     while not stop_requested:
         rclpy.spin_once(node, timeout_sec=0.1)
     node.destroy_node()
     rclpy.shutdown()
-    print("imported", [name for name in sys.modules if name.partition(".")[0] == "twinmatch"], flush=True)
+    print(
+        "imported",
+        [name for name in sys.modules if name.partition(".")[0] == "twinmatch"],
+        flush=True,
+    )
 
 
 if __name__ == "__main__":

@@ -40,15 +40,22 @@ LENGTHS = {"a": 70, "b": 40}
 """Samples of two rigs; those of the first are enough for a verdict: that there is no candidate yet."""
 LIVE = (
     "/thermal/",
-    *(f"/plant/{name}" for name in ("pwm", "uniformity", "reading", "command", "applied", "law")),
+    *(
+        f"/plant/{name}"
+        for name in ("pwm", "uniformity", "reading", "command", "applied", "law")
+    ),
 )
 """Topics that only a live rig has."""
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-ROW = re.compile(r"^\| `([/\w]+)` \| `(\w+)/(\w+)` \|([^|]*)\|([^|]*)\|[^|]*\|$", re.MULTILINE)
+ROW = re.compile(
+    r"^\| `([/\w]+)` \| `(\w+)/(\w+)` \|([^|]*)\|([^|]*)\|[^|]*\|$", re.MULTILINE
+)
 TWIN = ("-p", "readers:=twin_simulator discriminator")
 """For a player that waits for a twin."""
 CYCLONE = importlib.util.find_spec("cyclonedds") is not None
-needs_cyclone = pytest.mark.skipif(not CYCLONE, reason="no cyclonedds here; pip install cyclonedds")
+needs_cyclone = pytest.mark.skipif(
+    not CYCLONE, reason="no cyclonedds here; pip install cyclonedds"
+)
 
 
 def blocks(kind: str) -> list[str]:
@@ -69,13 +76,25 @@ def start_shell(programs: Any, page: Path, text: str, more: str = "") -> Process
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     # exec: a signal has to reach the program and not the shell around it
     script = re.sub(r"^python (?!-m)", "exec python ", text, flags=re.MULTILINE) + more
-    started: Process = programs.start("-c", f"cd {page}\n{script}", python="bash", PATH=path)
+    started: Process = programs.start(
+        "-c", f"cd {page}\n{script}", python="bash", PATH=path
+    )
     return started
 
 
 def start_player(programs: Any, session: Path, *more: str) -> Process:
-    options = ("-p", f"session:={session}", "-p", "rate:=80.0", "-p", "wait_timeout:=60.0", *more)
-    started: Process = programs.start_ours("-m", "twinmatch.nodes", "player", "--ros-args", *options)
+    options = (
+        "-p",
+        f"session:={session}",
+        "-p",
+        "rate:=80.0",
+        "-p",
+        "wait_timeout:=60.0",
+        *more,
+    )
+    started: Process = programs.start_ours(
+        "-m", "twinmatch.nodes", "player", "--ros-args", *options
+    )
     return started
 
 
@@ -89,7 +108,11 @@ while any(node.count_subscribers(topic) < int(n) for topic, n in zip(sys.argv[1:
 
 def wait_for_readers(programs: Any, **counts: int) -> None:
     """Until so many read a topic; by a program of its own, as ROS in this process is not for this network."""
-    words = [w for name, count in counts.items() for w in (f"/{name.replace('__', '/')}", f"{count}")]
+    words = [
+        w
+        for name, count in counts.items()
+        for w in (f"/{name.replace('__', '/')}", f"{count}")
+    ]
     assert programs.start("-c", WAITING, *words).wait() == 0
 
 
@@ -102,7 +125,10 @@ def offline_verdicts(session: Path) -> list[dict[str, Any]]:
     stamps = {sample.index: sample.stamp for sample in read_session(session).samples}
     read = open_any(session)
     verdicts = judge(read, terms_from_files(read)).verdicts
-    shown = [reader.plain(message_of(verdict, stamps[verdict.sample])) for verdict in verdicts]
+    shown = [
+        reader.plain(message_of(verdict, stamps[verdict.sample]))
+        for verdict in verdicts
+    ]
     return [json.loads(json.dumps(score)) for score in shown]
 
 
@@ -127,7 +153,10 @@ class Played:
 
 @pytest.fixture(scope="module")
 def played(
-    lasting_programs: Any, page: Path, session: Path, offline_verdicts: list[dict[str, Any]]
+    lasting_programs: Any,
+    page: Path,
+    session: Path,
+    offline_verdicts: list[dict[str, Any]],
 ) -> Played:
     """To the programs of the page, which are kept in, to a reader without settings, and to Cyclone's.
 
@@ -149,13 +178,22 @@ def played(
     scores = ("twinmatch_msgs/ModelScore", "twin/model_score")
     readers = {"no settings": start.start_reader(*scores)}
     hanging, dying = (start.start_reader(*scores, "everything") for _ in range(2))
-    early.said("^forecast: there is no candidate yet; the first comes with the first match")
-    wait_for_readers(start, twin__model_score=4, twin__forecast=1, plant__temperature=int(CYCLONE))
+    early.said(
+        "^forecast: there is no candidate yet; the first comes with the first match"
+    )
+    wait_for_readers(
+        start, twin__model_score=4, twin__forecast=1, plant__temperature=int(CYCLONE)
+    )
     programs |= readers
-    elsewhere = {name: network.sockets_elsewhere(program.id) for name, program in programs.items()}
+    elsewhere = {
+        name: network.sockets_elsewhere(program.id)
+        for name, program in programs.items()
+    }
     player = start_player(start, session, *TWIN)
     due = {name for name in table_of_topics() if not name.startswith(LIVE)}
-    graph.wait_until(lambda: any(due <= set(line) for line in graph.json), "every topic")
+    graph.wait_until(
+        lambda: any(due <= set(line) for line in graph.json), "every topic"
+    )
     readers["no settings"].said("{")
     hanging.freeze()
     dying.kill()
@@ -168,7 +206,9 @@ def played(
         assert reader.end() == 0, reader.text
     return Played(
         scores={name: reader.json for name, reader in readers.items()},
-        last_words={name: reader.text.splitlines()[-1] for name, reader in readers.items()},
+        last_words={
+            name: reader.text.splitlines()[-1] for name, reader in readers.items()
+        },
         elsewhere=elsewhere,
         samples=cyclone.json if CYCLONE else [],
         topics=next(line for line in graph.json if due <= set(line)),
@@ -176,7 +216,9 @@ def played(
     )
 
 
-def test_verdicts_reach_a_stranger_to_the_last_bit(played: Played, offline_verdicts: list[Any]) -> None:
+def test_verdicts_reach_a_stranger_to_the_last_bit(
+    played: Played, offline_verdicts: list[Any]
+) -> None:
     """From when its reader was found, without a hole; and it needs no twinmatch."""
     heard = played.scores["no settings"]
     assert as_text(heard) == as_text(offline_verdicts[-len(heard) :])
@@ -187,30 +229,44 @@ def test_verdicts_reach_a_stranger_to_the_last_bit(played: Played, offline_verdi
 
 def test_two_variables_keep_a_stranger_in(played: Played) -> None:
     assert played.elsewhere["forecasts"] == played.elsewhere["verdicts"] == []
-    assert played.elsewhere["no settings"], "without them it listens on the network: the page says so"
+    assert played.elsewhere["no settings"], (
+        "without them it listens on the network: the page says so"
+    )
 
 
-def test_shell_lines_set_the_variables_of_the_page_and_one_profile(stranger: dict[str, str]) -> None:
+def test_shell_lines_set_the_variables_of_the_page_and_one_profile(
+    stranger: dict[str, str],
+) -> None:
     """And the place of the wheels, for tools that look for packages."""
     command = [sys.executable, "-m", "twinmatch.nodes.network"]
-    completed = subprocess.run(command, env=stranger, capture_output=True, text=True, check=True)
+    completed = subprocess.run(
+        command, env=stranger, capture_output=True, text=True, check=True
+    )
     words = [shlex.split(line) for line in completed.stdout.splitlines()]
     lines = dict(word.split("=", 1) for _, word in words)
     lines.pop("AMENT_PREFIX_PATH", None)
     assert {word for word, _ in words} == {"export"}
     assert lines.items() <= KEPT_IN.items()
-    assert sorted(name in network.PROFILES for name in lines) == [False, True]  # of the one that is installed
+    # of the one that is installed
+    assert sorted(name in network.PROFILES for name in lines) == [False, True]
 
 
 def test_shell_lines_unset_what_would_lead_elsewhere() -> None:
-    environment = {"HOME": "/", "ROS_STATIC_PEERS": "10.0.0.1", **KEPT_IN, "AMENT_PREFIX_PATH": "/here"}
+    environment = {
+        "HOME": "/",
+        "ROS_STATIC_PEERS": "10.0.0.1",
+        **KEPT_IN,
+        "AMENT_PREFIX_PATH": "/here",
+    }
     assert network.shell_lines(environment) == ["unset ROS_STATIC_PEERS"]
 
 
 def test_shell_lines_refuse_what_the_nodes_refuse(stranger: dict[str, str]) -> None:
     command = [sys.executable, "-m", "twinmatch.nodes.network"]
     environment = {**stranger, "TWINMATCH_NETWORK": "wide"}
-    completed = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    completed = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=False
+    )
     assert completed.returncode == 2
     assert "use 'loopback' (the default) or 'open'" in completed.stderr
     assert completed.stdout == ""
@@ -221,23 +277,37 @@ def test_cyclone_reads_every_sample(played: Played, session: Path) -> None:
     """Reliable: from when it has found the player on, all of them, to the last bit."""
     samples = read_session(session).samples
     heard = played.samples
-    assert heard == [[s.stamp, s.index, s.reference, s.output, s.input] for s in samples[-len(heard) :]]
+    assert heard == [
+        [s.stamp, s.index, s.reference, s.output, s.input]
+        for s in samples[-len(heard) :]
+    ]
     assert len(heard) >= len(samples) - SETTLED
 
 
 @needs_cyclone
-def test_the_pages_cyclone_reader_shows_the_temperatures(played: Played, session: Path) -> None:
+def test_the_pages_cyclone_reader_shows_the_temperatures(
+    played: Played, session: Path
+) -> None:
     """Best effort: some may be missing, none may be changed or come twice or late."""
     samples = {s.stamp // 10**9: s.output for s in read_session(session).samples}
     text = played.programs["temperatures"].text
-    heard = [(int(second), value) for second, value in re.findall(r"^(\d+) s: (-?[\d.]+) °C\n", text, re.M)]
+    heard = [
+        (int(second), value)
+        for second, value in re.findall(r"^(\d+) s: (-?[\d.]+) °C\n", text, re.M)
+    ]
     assert len(heard) > (len(samples) - SETTLED) / 2
     assert [second for second, _ in heard] == sorted({second for second, _ in heard})
     assert all(value == f"{samples[second]:.2f}" for second, value in heard)
 
 
 def test_page_has_the_blocks_that_are_run_here() -> None:
-    names = ["verdicts.py", "nominal.py", "forecasts.py", "what_if.py", "temperatures.py"]
+    names = [
+        "verdicts.py",
+        "nominal.py",
+        "forecasts.py",
+        "what_if.py",
+        "temperatures.py",
+    ]
     assert [text.split()[1] for text in blocks("python")] == names
     assert len(blocks("sh")) == 3
     assert len(blocks("python")[0].splitlines()) <= 20
@@ -250,7 +320,9 @@ def test_the_pages_verdicts_nominal_forecasts_and_what_if(
     verdicts = played.programs["verdicts"]
     verdicts.said("sample 600: trusted, 70 °C")
     last = read_session(session).samples[-1].index
-    forecast_line = rf"^sample {last}: -?\d+\.\d °C in a minute \(-?\d+\.\d to -?\d+\.\d\)$"
+    forecast_line = (
+        rf"^sample {last}: -?\d+\.\d °C in a minute \(-?\d+\.\d to -?\d+\.\d\)$"
+    )
     played.programs["forecasts"].said(forecast_line)
     nominal = programs.start(page / "nominal.py")
     late = programs.start(page / "what_if.py", **KEPT_IN)
@@ -273,10 +345,14 @@ def test_a_late_reader_is_given_the_nominal_if_it_asks_for_what_is_latched(
     late.said("{")
     (nominal,) = late.json
     (candidate,) = [
-        c for c in offline_verdicts[-1]["candidates"] if c["name"] == offline_verdicts[-1]["nominal"]
+        c
+        for c in offline_verdicts[-1]["candidates"]
+        if c["name"] == offline_verdicts[-1]["nominal"]
     ]
     identity = ("name", "first", "last", "parameters")
-    assert {key: nominal[key] for key in identity} == {key: candidate[key] for key in identity}
+    assert {key: nominal[key] for key in identity} == {
+        key: candidate[key] for key in identity
+    }
     assert volatile.json == []
 
 
@@ -290,11 +366,21 @@ def table_of_topics() -> dict[str, tuple[str, str, bool]]:
     return {name if name.startswith("/") else f"/{name}": row for name, row in rows}
 
 
-def test_the_page_names_type_and_quality_of_service_of_every_topic(played: Played) -> None:
+def test_the_page_names_type_and_quality_of_service_of_every_topic(
+    played: Played,
+) -> None:
     table = table_of_topics()
-    topics = {n: end for n, end in played.topics.items() if n in table or n.startswith(("/twin", "/plant"))}
+    topics = {
+        n: end
+        for n, end in played.topics.items()
+        if n in table or n.startswith(("/twin", "/plant"))
+    }
     for name, (kind, reliability, durability) in topics.items():
-        shown = (kind, reliability.lower().replace("_", " "), durability == "TRANSIENT_LOCAL")
+        shown = (
+            kind,
+            reliability.lower().replace("_", " "),
+            durability == "TRANSIENT_LOCAL",
+        )
         assert shown == table[name], name
     for kind, *_ in table.values():
         package, _, name = kind.split("/")
@@ -313,19 +399,27 @@ def test_only_an_opened_network_has_sockets_that_other_machines_reach(
     opened.said("NETWORK OPEN")
     closed = start_player(programs, session, "-p", "paused:=true")
     programs.start(HERE / "graph.py").said('"/plant/sample"')
-    opened.wait_until(lambda: network.sockets_elsewhere(opened.id), "a socket elsewhere")
+    opened.wait_until(
+        lambda: network.sockets_elsewhere(opened.id), "a socket elsewhere"
+    )
     assert network.sockets_elsewhere(closed.id) == []
     assert "NETWORK OPEN" not in closed.text
 
 
-def test_rigs_do_not_mix(programs: Any, page: Path, session: Path, tmp_path: Path) -> None:
+def test_rigs_do_not_mix(
+    programs: Any, page: Path, session: Path, tmp_path: Path
+) -> None:
     """Two at once, each in its namespace, with sessions of different lengths, and a twin beside the first."""
     readers = {
-        name: programs.start_reader("twinmatch_msgs/LoopSample", f"{name}plant/sample", "everything")
+        name: programs.start_reader(
+            "twinmatch_msgs/LoopSample", f"{name}plant/sample", "everything"
+        )
         for name in ("", "/rig_a/", "/rig_b/")
     }
     verdicts = start_shell(programs, page, blocks("sh")[1])
-    programs.start_ours("-m", "twinmatch.nodes", "twin", "--ros-args", "-r", "__ns:=/rig_a")
+    programs.start_ours(
+        "-m", "twinmatch.nodes", "twin", "--ros-args", "-r", "__ns:=/rig_a"
+    )
     wait_for_readers(programs, rig_a__twin__model_score=1)
     players = []
     for rig, length in LENGTHS.items():
@@ -342,7 +436,10 @@ def test_rigs_do_not_mix(programs: Any, page: Path, session: Path, tmp_path: Pat
         assert player.wait() == 0, player.text
     for rig, length in LENGTHS.items():
         reader = readers[f"/rig_{rig}/"]
-        wait_for(lambda reader=reader, length=length: len(reader.json) >= length, f"{length} of {rig}")
+        wait_for(
+            lambda reader=reader, length=length: len(reader.json) >= length,
+            f"{length} of {rig}",
+        )
         assert [message["index"] for message in reader.json] == list(range(length))
     verdicts.said(r"^sample \d+: ")
     assert readers[""].json == []

@@ -18,7 +18,10 @@ from tests.system.subscribers.keeping import key_of, locked
 from tests.system.subscribers.wheels_shim import write_parser, write_shim
 from twinmatch.sessions import read_session
 
-pytestmark = [pytest.mark.ros, pytest.mark.long("builds a colcon workspace with all messages")]
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.long("builds a colcon workspace with all messages"),
+]
 
 HERE = Path(__file__).resolve().parent
 IGNORED = shutil.ignore_patterns("__pycache__", "build", "*.egg-info", "twinmatch_msgs")
@@ -49,7 +52,13 @@ def installed(project: Path, stranger: dict[str, str]) -> Path:
         for earlier in ("twinmatch", "build/twinmatch", "install/twinmatch"):
             shutil.rmtree(folder / earlier, ignore_errors=True)
         (folder / "twinmatch").mkdir()
-        for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "README.md"):
+        for name in (
+            "setup.py",
+            "setup.cfg",
+            "pyproject.toml",
+            "package.xml",
+            "README.md",
+        ):
             shutil.copy(project / name, folder / "twinmatch")
         for name in ("src", "config", "resource"):
             shutil.copytree(project / name, folder / "twinmatch" / name, ignore=IGNORED)
@@ -70,15 +79,35 @@ def build(folder: Path, stranger: dict[str, str], package: str) -> None:
         *("-DBUILD_SHARED_LIBS=ON", "-DCMAKE_C_FLAGS=-O0", "-DCMAKE_CXX_FLAGS=-O0"),
     ]
     environment = {
-        **{name: value for name, value in stranger.items() if not name.startswith("ROS_")},
+        **{
+            name: value
+            for name, value in stranger.items()
+            if not name.startswith("ROS_")
+        },
         "PATH": "/usr/bin:/bin",
         "AMENT_PREFIX_PATH": sys.prefix,
         "PYTHONPATH": str(folder / "python"),
     }
     # Graphs that run at real time beside it need the processors more.
-    command = ["nice", "-n", "10", "colcon", "build", "--paths", package, "--cmake-args", *cmake]
+    command = [
+        "nice",
+        "-n",
+        "10",
+        "colcon",
+        "build",
+        "--paths",
+        package,
+        "--cmake-args",
+        *cmake,
+    ]
     completed = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=1800
+        command,
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=1800,
     )
     assert completed.returncode == 0, completed.stdout + completed.stderr
 
@@ -90,12 +119,25 @@ def start(programs: Any, installed: Path, *command: object) -> Any:
     return programs.start("-c", script, python="sh", AMENT_PREFIX_PATH=sys.prefix)
 
 
-def test_nodes_and_messages_of_the_install_space(programs: Any, installed: Path, session: Path) -> None:
-    where = start(programs, installed, "-c", "'import twinmatch, twinmatch_msgs as m; print(twinmatch, m)'")
+def test_nodes_and_messages_of_the_install_space(
+    programs: Any, installed: Path, session: Path
+) -> None:
+    where = start(
+        programs,
+        installed,
+        "-c",
+        "'import twinmatch, twinmatch_msgs as m; print(twinmatch, m)'",
+    )
     assert where.wait() == 0, where.text
     assert where.text.count(str(installed)) == 2
 
-    ours = start(programs, installed, HERE / "reader.py", "twinmatch_msgs/LoopSample", "plant/sample")
+    ours = start(
+        programs,
+        installed,
+        HERE / "reader.py",
+        "twinmatch_msgs/LoopSample",
+        "plant/sample",
+    )
     ours.said("^ready$")
     theirs = programs.start_reader("twinmatch_msgs/LoopSample", "plant/sample")
     player = installed / "twinmatch" / "lib" / "twinmatch" / "player"

@@ -14,29 +14,56 @@ import pytest
 from tests.system.subscribers.keeping import depends_on, key_of, locked
 from twinmatch.sessions import read_session, write_session
 
-pytestmark = [pytest.mark.ros, pytest.mark.long("installs another environment and builds the messages in it")]
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.long("installs another environment and builds the messages in it"),
+]
 
-NO_NETWORK = ("NewConnectionError", "Temporary failure in name resolution", "Network is unreachable")
-OPTIONS = ("--quiet", "--disable-pip-version-check", "--prefer-binary", "--progress-bar", "off")
+NO_NETWORK = (
+    "NewConnectionError",
+    "Temporary failure in name resolution",
+    "Network is unreachable",
+)
+OPTIONS = (
+    "--quiet",
+    "--disable-pip-version-check",
+    "--prefer-binary",
+    "--progress-bar",
+    "off",
+)
 
 
 def run(command: list[str], environment: dict[str, str]) -> None:
     """Run a step of the preparation; the test fails with the step's own words, or skips without a network."""
-    completed = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    if completed.returncode != 0 and any(words in completed.stderr for words in NO_NETWORK):
+    completed = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=False
+    )
+    if completed.returncode != 0 and any(
+        words in completed.stderr for words in NO_NETWORK
+    ):
         pytest.skip("no network to install the ROS wheels from")
     assert completed.returncode == 0, completed.stderr
 
 
-def wheel_of(sources: Path, built: Path, folder: Path, environment: dict[str, str]) -> Path:
+def wheel_of(
+    sources: Path, built: Path, folder: Path, environment: dict[str, str]
+) -> Path:
     """The messages as a wheel: that of `make setup`, or one built from a copy if they have changed since."""
     newest = max(path.stat().st_mtime for path in depends_on(sources))
-    for wheel in built.glob(f"twinmatch_msgs-*-cp{sys.version_info[0]}{sys.version_info[1]}-*.whl"):
+    for wheel in built.glob(
+        f"twinmatch_msgs-*-cp{sys.version_info[0]}{sys.version_info[1]}-*.whl"
+    ):
         if wheel.stat().st_mtime > newest:
             return wheel
     copy = folder / "sources"
     shutil.copytree(sources, copy, ignore=shutil.ignore_patterns("build", "*.egg-info"))
-    options = [*OPTIONS, "--no-build-isolation", "--no-deps", "--wheel-dir", str(folder)]
+    options = [
+        *OPTIONS,
+        "--no-build-isolation",
+        "--no-deps",
+        "--wheel-dir",
+        str(folder),
+    ]
     run([sys.executable, "-m", "pip", "wheel", *options, str(copy)], environment)
     (wheel,) = folder.glob("twinmatch_msgs-*.whl")
     return wheel
@@ -44,7 +71,10 @@ def wheel_of(sources: Path, built: Path, folder: Path, environment: dict[str, st
 
 @pytest.fixture(scope="module")
 def other_python(
-    project: Path, bare_python: str, stranger: dict[str, str], tmp_path_factory: pytest.TempPathFactory
+    project: Path,
+    bare_python: str,
+    stranger: dict[str, str],
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> str:
     """The interpreter of that environment, which is kept in build/ until the messages change."""
     if not (Path(sys.prefix) / "share" / "rclpy").is_dir():
@@ -71,7 +101,11 @@ def other_python(
 def test_no_twinmatch_over_there(other_python: str, stranger: dict[str, str]) -> None:
     code = "import importlib.util, twinmatch_msgs.msg; print(importlib.util.find_spec('twinmatch'))"
     completed = subprocess.run(
-        [other_python, "-c", code], env=stranger, capture_output=True, text=True, check=True
+        [other_python, "-c", code],
+        env=stranger,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert completed.stdout == "None\n"
 
@@ -80,9 +114,15 @@ def test_environment_of_a_running_node_has_to_be_stripped(
     other_python: str, stranger: dict[str, str]
 ) -> None:
     """What the wheels of one environment set for its Python makes that of another fail to find its own."""
-    inherited = {**stranger, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "LD_LIBRARY_PATH": ""}
+    inherited = {
+        **stranger,
+        "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
+        "LD_LIBRARY_PATH": "",
+    }
     command = [other_python, "-c", "import rclpy; rclpy.init()"]
-    completed = subprocess.run(command, env=inherited, capture_output=True, text=True, check=False)
+    completed = subprocess.run(
+        command, env=inherited, capture_output=True, text=True, check=False
+    )
     assert completed.returncode != 0
     assert "cannot open shared object file" in completed.stderr
 
@@ -90,11 +130,18 @@ def test_environment_of_a_running_node_has_to_be_stripped(
 def test_it_reads_the_verdicts(
     programs: Any, other_python: str, session: Path, project: Path, tmp_path: Path
 ) -> None:
-    verdicts = programs.start_reader("twinmatch_msgs/ModelScore", "twin/model_score", python=other_python)
-    samples = programs.start_reader("twinmatch_msgs/LoopSample", "plant/sample", python=other_python)
+    verdicts = programs.start_reader(
+        "twinmatch_msgs/ModelScore", "twin/model_score", python=other_python
+    )
+    samples = programs.start_reader(
+        "twinmatch_msgs/LoopSample", "plant/sample", python=other_python
+    )
     part = read_session(session).samples[:460]
     replay = programs.start_ours(
-        project / "launch_scripts" / "replay.py", write_session(tmp_path / "part", part), "--rate", 80
+        project / "launch_scripts" / "replay.py",
+        write_session(tmp_path / "part", part),
+        "--rate",
+        80,
     )
     assert replay.wait() == 0, replay.text
     last = part[-1]
@@ -102,7 +149,12 @@ def test_it_reads_the_verdicts(
     assert samples.json[-1]["output"] == [last.output]
     assert verdicts.json[-1]["nominal"]
     parameters = verdicts.json[-1]["candidates"][-1]["parameters"]
-    assert dict(zip(parameters["names"], parameters["values"], strict=True))["heat_capacity"] > 0
+    assert (
+        dict(zip(parameters["names"], parameters["values"], strict=True))[
+            "heat_capacity"
+        ]
+        > 0
+    )
     for reader in (verdicts, samples):
         assert reader.end() == 0
         assert reader.text.splitlines()[-1] == "imported []"

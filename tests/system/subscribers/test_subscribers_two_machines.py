@@ -22,8 +22,12 @@ def namespaces() -> None:
     """Needs `ip`, and a kernel that gives us network namespaces."""
     if shutil.which("ip") is None or shutil.which("unshare") is None:
         pytest.skip("no ip or no unshare here: apt-get install iproute2 util-linux")
-    probe = "mount -t tmpfs tmpfs /dev/shm && ip link add here type veth peer name there"
-    completed = subprocess.run([*UNSHARE, "sh", "-c", probe], capture_output=True, text=True, check=False)
+    probe = (
+        "mount -t tmpfs tmpfs /dev/shm && ip link add here type veth peer name there"
+    )
+    completed = subprocess.run(
+        [*UNSHARE, "sh", "-c", probe], capture_output=True, text=True, check=False
+    )
     if completed.returncode != 0:
         pytest.skip(f"no network namespaces here: {completed.stderr.strip()}")
 

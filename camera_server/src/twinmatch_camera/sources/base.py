@@ -7,7 +7,7 @@ from typing import Protocol
 from twinmatch.links.thermal_frame import Exposure
 
 
-class EndOfRecording(Exception):  # noqa: N818 (it is not an error)
+class EndOfRecording(Exception):  # noqa: N818
     """A source has nothing more to show, which is not a fault."""
 
 

@@ -64,17 +64,27 @@ def configure(wire: CciWire, sleep: Callable[[float], None] = time.sleep) -> Non
             code = status >> 8
             if code:
                 code -= 256 if code > 127 else 0
-                raise SourceError(f"Lepton: it refuses {name} with error {code}; is it a Lepton 2.5?")
+                raise SourceError(
+                    f"Lepton: it refuses {name} with error {code}; is it a Lepton 2.5?"
+                )
     except OSError as error:
         msg = f"Lepton: no answer on I2C ({error}); check the wiring, and that I2C is switched on"
         raise SourceError(msg) from error
 
 
-def _wait(wire: CciWire, sleep: Callable[[float], None], needed: int, seconds: float, what: str) -> int:
+def _wait(
+    wire: CciWire,
+    sleep: Callable[[float], None],
+    needed: int,
+    seconds: float,
+    what: str,
+) -> int:
     """Read the status until it is not busy and has the bits needed."""
     for _ in range(round(seconds / _PAUSE)):
         status = wire.read(_STATUS)
         if not status & _BUSY and status & needed == needed:
             return status
         sleep(_PAUSE)
-    raise SourceError(f"Lepton: waited {seconds} s {what}, its status is 0x{status:04x}; power it off and on")
+    raise SourceError(
+        f"Lepton: waited {seconds} s {what}, its status is 0x{status:04x}; power it off and on"
+    )

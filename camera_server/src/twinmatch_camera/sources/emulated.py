@@ -8,7 +8,12 @@ import time
 from pathlib import Path
 
 from twinmatch.links.thermal_frame import Exposure
-from twinmatch_camera.emulation import EmulatedLepton, LeptonError, LeptonSettings, PlateReceiver
+from twinmatch_camera.emulation import (
+    EmulatedLepton,
+    LeptonError,
+    LeptonSettings,
+    PlateReceiver,
+)
 from twinmatch_camera.errors import SourceError
 
 _log = logging.getLogger(__name__)
@@ -94,8 +99,12 @@ class EmulatedSource:
             self._fed = now
         silent = now - self._fed > _PATIENCE
         if silent and not self._silent:
-            _log.warning("no plate temperature on %s; no frames until one comes", self._feed)
+            _log.warning(
+                "no plate temperature on %s; no frames until one comes", self._feed
+            )
         elif self._silent and not silent:
-            _log.info("plate temperature %.2f °C on %s; frames again", self._plate, self._feed)
+            _log.info(
+                "plate temperature %.2f °C on %s; frames again", self._plate, self._feed
+            )
         self._silent = silent
         return None if silent else self._plate

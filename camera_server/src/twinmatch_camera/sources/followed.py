@@ -24,7 +24,13 @@ _LONGEST = 256
 class FollowedSource:
     """Images on request, at given times."""
 
-    def __init__(self, descriptor: int = 0, *, settings: LeptonSettings | None = None, seed: int = 0) -> None:
+    def __init__(
+        self,
+        descriptor: int = 0,
+        *,
+        settings: LeptonSettings | None = None,
+        seed: int = 0,
+    ) -> None:
         self._descriptor = descriptor
         self._camera = EmulatedLepton(settings or LeptonSettings(), seed)
         self._start: float | None = None
@@ -56,10 +62,14 @@ class FollowedSource:
         try:
             elapsed, plate, stamp = line.split()
             start = float(elapsed) if self._start is None else self._start
-            exposure = self._camera.expose(float(plate), float(elapsed) - start, int(stamp))
+            exposure = self._camera.expose(
+                float(plate), float(elapsed) - start, int(stamp)
+            )
         except (ValueError, OverflowError, LeptonError, FrameFieldError) as error:
             _log.warning(
-                "line %r: %s; write the time in s, the temperature in °C, the stamp in ns", line, error
+                "line %r: %s; write the time in s, the temperature in °C, the stamp in ns",
+                line,
+                error,
             )
             return None
         self._start = start

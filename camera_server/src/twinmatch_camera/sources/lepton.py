@@ -12,7 +12,12 @@ from twinmatch.links.thermal_frame import Exposure
 from twinmatch_camera.errors import SourceError
 from twinmatch_camera.sources.cci import CciWire, configure
 from twinmatch_camera.sources.telemetry import exposure
-from twinmatch_camera.sources.vospi import PACKET_BYTES, RESYNC_SILENCE, Assembler, SyncLost
+from twinmatch_camera.sources.vospi import (
+    PACKET_BYTES,
+    RESYNC_SILENCE,
+    Assembler,
+    SyncLost,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -91,7 +96,9 @@ class LeptonSource:
             taken = self._frame()
             if taken is None:
                 if now - self._last_frame > _PATIENCE:
-                    raise SourceError(f"Lepton on {self._where}: no frame in {_PATIENCE} s; check wiring")
+                    raise SourceError(
+                        f"Lepton on {self._where}: no frame in {_PATIENCE} s; check wiring"
+                    )
                 continue
             self._last_frame = now
             moved = taken.frame_counter != self._last_counter
@@ -128,7 +135,9 @@ class LeptonSource:
             data = bytes(self._spi.readbytes(_PACKETS_AT_ONCE * PACKET_BYTES))
         except OSError as error:
             raise SourceError(f"Lepton on {self._where}: {error}") from error
-        self._packets.extend(data[i : i + PACKET_BYTES] for i in range(0, len(data), PACKET_BYTES))
+        self._packets.extend(
+            data[i : i + PACKET_BYTES] for i in range(0, len(data), PACKET_BYTES)
+        )
 
     def _resynchronise(self) -> None:
         """Be silent until the camera begins a new stream; chip select is up between transfers."""
@@ -137,7 +146,7 @@ class LeptonSource:
 
 
 def _open_spi(spi: tuple[int, int], speed: int) -> SpiWire:
-    import spidev  # noqa: PLC0415 (only on a Raspberry Pi)
+    import spidev  # noqa: PLC0415
 
     bus: SpiWire = spidev.SpiDev()
     bus.open(*spi)  # type: ignore[attr-defined]
@@ -150,17 +159,21 @@ class _I2cWire:
     """The command interface over smbus2, with a stop between address and data as the camera expects."""
 
     def __init__(self, bus: int) -> None:
-        import smbus2  # noqa: PLC0415 (only on a Raspberry Pi)
+        import smbus2  # noqa: PLC0415
 
         self._message = smbus2.i2c_msg
         self._bus = smbus2.SMBus(bus)
 
     def write(self, register: int, words: Sequence[int]) -> None:
-        data = [byte for word in (register, *words) for byte in (word >> 8, word & 0xFF)]
+        data = [
+            byte for word in (register, *words) for byte in (word >> 8, word & 0xFF)
+        ]
         self._bus.i2c_rdwr(self._message.write(_CCI_ADDRESS, data))
 
     def read(self, register: int) -> int:
-        self._bus.i2c_rdwr(self._message.write(_CCI_ADDRESS, [register >> 8, register & 0xFF]))
+        self._bus.i2c_rdwr(
+            self._message.write(_CCI_ADDRESS, [register >> 8, register & 0xFF])
+        )
         answer = self._message.read(_CCI_ADDRESS, 2)
         self._bus.i2c_rdwr(answer)
         return int.from_bytes(bytes(answer), "big")

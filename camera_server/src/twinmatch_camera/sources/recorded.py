@@ -11,14 +11,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
-from twinmatch.links.thermal_frame import Exposure, FrameError, FrameFlags, ThermalFrame, read_frame
+from twinmatch.links.thermal_frame import (
+    Exposure,
+    FrameError,
+    FrameFlags,
+    ThermalFrame,
+    read_frame,
+)
 from twinmatch_camera.errors import SourceError
 from twinmatch_camera.sources.base import EndOfRecording
 
 _PAUSE_BETWEEN_ROUNDS = 0.2
 
 
-class _Ended(Exception):  # noqa: N818 (it is not an error)
+class _Ended(Exception):  # noqa: N818
     """The file ends."""
 
 
@@ -49,28 +55,38 @@ class RecordedSource:
         try:
             self._file = self._path.open("rb")
         except OSError as error:
-            raise SourceError(f"recording {self._path}: {error.strerror}; give a file of frames") from error
+            raise SourceError(
+                f"recording {self._path}: {error.strerror}; give a file of frames"
+            ) from error
         self._next = self._load()
         if self._next is None:
-            raise SourceError(f"recording {self._path}: it holds no frame; record one first")
+            raise SourceError(
+                f"recording {self._path}: it holds no frame; record one first"
+            )
         self._begin_round(self._next, time.monotonic_ns())
 
     def read(self, timeout: float) -> Exposure | None:
         """The next frame when its time has come."""
         frame = self._next
         if frame is None:
-            raise EndOfRecording(f"recording {self._path} ends after {self._frames} frames")
+            raise EndOfRecording(
+                f"recording {self._path} ends after {self._frames} frames"
+            )
         wait = (self._start + frame.stamp - self._first - time.monotonic_ns()) / 1e9
         if wait > timeout:
             time.sleep(timeout)
             return None
         if wait > 0:
             time.sleep(wait)
-        counter = self._last_counter = (frame.frame_counter + self._counter_shift) % 2**32
+        counter = self._last_counter = (
+            frame.frame_counter + self._counter_shift
+        ) % 2**32
         self._frames += 1
         self._advance()
         flags = frame.flags | FrameFlags.RECORDED
-        return replace(frame, stamp=time.monotonic_ns(), frame_counter=counter, flags=flags)
+        return replace(
+            frame, stamp=time.monotonic_ns(), frame_counter=counter, flags=flags
+        )
 
     def close(self) -> None:
         """Close the file."""
@@ -85,7 +101,9 @@ class RecordedSource:
             self._next = self._load()
             if self._next is not None:
                 self._counter_shift = self._last_counter + 1 - self._next.frame_counter
-                self._begin_round(self._next, time.monotonic_ns() + round(_PAUSE_BETWEEN_ROUNDS * 1e9))
+                self._begin_round(
+                    self._next, time.monotonic_ns() + round(_PAUSE_BETWEEN_ROUNDS * 1e9)
+                )
 
     def _begin_round(self, frame: ThermalFrame, start: int) -> None:
         self._first = frame.stamp
@@ -98,7 +116,9 @@ class RecordedSource:
         except _Ended:
             return None
         except FrameError as error:
-            raise SourceError(f"recording {self._path}, frame {self._frames + 1}: {error}") from error
+            raise SourceError(
+                f"recording {self._path}, frame {self._frames + 1}: {error}"
+            ) from error
 
     def _read(self, count: int) -> bytes:
         piece = b"" if self._file is None else self._file.read(count)

@@ -39,7 +39,9 @@ def exposure(image: CountArray, rows: CountArray, stamp: int) -> Exposure:
         resolution=0.01 if c[49] else 0.1,
         frame_counter=a[21] << 16 | a[20],
         flat_field=state,
-        flat_field_age=None if state is FlatField.NEVER else (uptime - corrected) % 2**32,
+        flat_field_age=None
+        if state is FlatField.NEVER
+        else (uptime - corrected) % 2**32,
         sensor_temperature=a[24],
         flags=flags,
     )

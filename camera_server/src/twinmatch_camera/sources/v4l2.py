@@ -80,11 +80,15 @@ class V4l2Source:
         try:
             data = self._capture.read(timeout)
         except OSError as error:
-            raise SourceError(f"video device {self._device}: {error}; is it unplugged?") from error
+            raise SourceError(
+                f"video device {self._device}: {error}; is it unplugged?"
+            ) from error
         now = time.monotonic()
         if data is None:
             if now - self._last_frame > _PATIENCE:
-                raise SourceError(f"video device {self._device}: no image for {_PATIENCE} s")
+                raise SourceError(
+                    f"video device {self._device}: no image for {_PATIENCE} s"
+                )
             return None
         self._last_frame = now
         rows, columns = self._capture.shape
@@ -92,7 +96,9 @@ class V4l2Source:
             return None  # a frame the USB transfer cut short; the next one comes
         counts = np.frombuffer(data, dtype="<u2").reshape(rows, columns).copy()
         if counts.shape == _TELEMETRY_SHAPE:
-            return exposure(counts[:_VIDEO_ROWS].copy(), counts[_VIDEO_ROWS:], time.monotonic_ns())
+            return exposure(
+                counts[:_VIDEO_ROWS].copy(), counts[_VIDEO_ROWS:], time.monotonic_ns()
+            )
         if self._last is None or not np.array_equal(counts, self._last):
             self._counter = (self._counter + 1) % 2**32
         self._last = counts

@@ -26,7 +26,7 @@ _HEADER = 4
 _MOST_SKIPPED = 4 * _PACKETS
 
 
-class SyncLost(Exception):  # noqa: N818 (an everyday event on this wire)
+class SyncLost(Exception):  # noqa: N818
     """The camera and we do not agree where a packet or a frame begins."""
 
 
@@ -41,7 +41,9 @@ class VospiFrame(NamedTuple):
 
 def packet_crc(packet: bytes) -> int:
     """CRC-16 (polynomial 0x1021, from 0) of a packet with its ID's high nibble and its CRC taken as 0."""
-    return binascii.crc_hqx(bytes((packet[0] & 0x0F, packet[1], 0, 0)) + packet[_HEADER:], 0)
+    return binascii.crc_hqx(
+        bytes((packet[0] & 0x0F, packet[1], 0, 0)) + packet[_HEADER:], 0
+    )
 
 
 class Assembler:

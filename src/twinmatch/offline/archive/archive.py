@@ -36,8 +36,15 @@ class Archive:
 
     def document(self) -> dict[str, Any]:
         """The results as a dictionary for JSON."""
-        failed = [{"path": str(failure.path), "reason": failure.reason} for failure in self.failed]
-        return {"sessions": list(self.sessions), "candidates": list(self.candidates), "failed": failed}
+        failed = [
+            {"path": str(failure.path), "reason": failure.reason}
+            for failure in self.failed
+        ]
+        return {
+            "sessions": list(self.sessions),
+            "candidates": list(self.candidates),
+            "failed": failed,
+        }
 
 
 def judge_archive(
@@ -79,7 +86,9 @@ def judge_archive(
 
     def take(number: int, record: dict[str, Any]) -> None:
         """Take a record without its verdicts, as those of a large archive do not fit into memory."""
-        records[number] = {key: value for key, value in record.items() if key != "verdicts"}
+        records[number] = {
+            key: value for key, value in record.items() if key != "verdicts"
+        }
 
     def fail(number: int, reason: str) -> None:
         failed[number] = Failure(paths[number], reason)
@@ -90,7 +99,11 @@ def judge_archive(
         try:
             content = content_of(path)
         except OSError as error:
-            reason = "does not exist" if isinstance(error, FileNotFoundError) else error.strerror
+            reason = (
+                "does not exist"
+                if isinstance(error, FileNotFoundError)
+                else error.strerror
+            )
             fail(number, f"{path}: {reason}")
             continue
         keys[number] = key_of(content, described)
@@ -111,11 +124,16 @@ def judge_archive(
                     store.keep(paths[number], keys[number], record)
                 take(number, record)
             report(count, len(paths))
-    return _archive(paths, records, tuple(failed[number] for number in sorted(failed)), reused)
+    return _archive(
+        paths, records, tuple(failed[number] for number in sorted(failed)), reused
+    )
 
 
 def _archive(
-    paths: list[Path], records: dict[int, dict[str, Any]], failed: tuple[Failure, ...], reused: int
+    paths: list[Path],
+    records: dict[int, dict[str, Any]],
+    failed: tuple[Failure, ...],
+    reused: int,
 ) -> Archive:
     """All results, in the order in which the sessions were given."""
     count_of_name = Counter(record["session"] for record in records.values())
@@ -131,16 +149,21 @@ def _archive(
 
 def _describe(terms: ArchiveTerms) -> str:
     """All that a result depends on besides the session and the software, as text."""
-    from twinmatch.dynamics.store import source_hash  # noqa: PLC0415 — imports numpy
+    from twinmatch.dynamics.store import source_hash  # noqa: PLC0415
 
-    return repr((terms.settings, terms.given, terms.fixed, source_hash(terms.settings.plant)))
+    return repr(
+        (terms.settings, terms.given, terms.fixed, source_hash(terms.settings.plant))
+    )
 
 
 def _terms(
-    config: Path | None, candidates: Path | None, plant: str | None, document: Callable[..., dict[str, Any]]
+    config: Path | None,
+    candidates: Path | None,
+    plant: str | None,
+    document: Callable[..., dict[str, Any]],
 ) -> ArchiveTerms:
     from twinmatch.parameters.candidates import read_candidates  # noqa: PLC0415
-    from twinmatch.parameters.twin import read_settings  # noqa: PLC0415 — imports the whole twin
+    from twinmatch.parameters.twin import read_settings  # noqa: PLC0415
     from twinmatch.plants import find_plant  # noqa: PLC0415
 
     if plant:
@@ -148,11 +171,17 @@ def _terms(
     settings = read_settings(config, plant or "")
     initial_candidates = tuple(read_candidates(candidates)) if candidates else ()
     return ArchiveTerms(
-        settings, initial_candidates, config, document, fixed=plant is not None or config is not None
+        settings,
+        initial_candidates,
+        config,
+        document,
+        fixed=plant is not None or config is not None,
     )
 
 
-def _outcomes(todo: list[Job], jobs: int | None, scheduler: str | None) -> Generator[JobResult]:
+def _outcomes(
+    todo: list[Job], jobs: int | None, scheduler: str | None
+) -> Generator[JobResult]:
     """The outcomes of all jobs as they complete, from this machine or from a cluster."""
     if not todo:
         return

@@ -43,7 +43,8 @@ def find_sessions(named: Iterable[Path | str]) -> list[Path]:
     paths: dict[Path, Path] = {}
     for name in named:
         for path in _resolve(Path(name)):
-            paths.setdefault(Path(os.path.realpath(path)), path)  # `resolve` fails for circular links
+            # `resolve` fails for circular links
+            paths.setdefault(Path(os.path.realpath(path)), path)
     first_piece = {resolved: first_of(resolved) for resolved in paths}
     listed = []
     for resolved, path in paths.items():
@@ -55,12 +56,16 @@ def find_sessions(named: Iterable[Path | str]) -> list[Path]:
 
 def is_single(named: Sequence[Path | str]) -> bool:
     """Whether a single session or recording was given, rather than several or a folder of them."""
-    return len(named) == 1 and not _is_pattern(Path(named[0])) and not _is_collection(Path(named[0]))
+    return (
+        len(named) == 1
+        and not _is_pattern(Path(named[0]))
+        and not _is_collection(Path(named[0]))
+    )
 
 
 def _resolve(path: Path) -> Sequence[Path]:
     if _is_pattern(path):
-        matches = sorted(glob.glob(str(path), recursive=True))  # noqa: PTH207 — Path.glob takes no absolute ones
+        matches = sorted(glob.glob(str(path), recursive=True))  # noqa: PTH207
         if not matches:
             raise ArchiveError(f"{path}: no file or folder matches this pattern")
         return [session for match in matches for session in _resolve(Path(match))]
@@ -114,7 +119,11 @@ def content_of(path: Path) -> str:
     if not path.is_dir():
         return _hash([path], path.parent)
     pieces = pieces_of(path)
-    files = [file for piece in pieces for file in (*piece.glob("*.mcap"), *piece.glob("metadata.yaml"))]
+    files = [
+        file
+        for piece in pieces
+        for file in (*piece.glob("*.mcap"), *piece.glob("metadata.yaml"))
+    ]
     return _hash(sorted(files), path if len(pieces) == 1 else path.parent)
 
 
@@ -168,13 +177,17 @@ class Store:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            msg = f"{folder}: the folder for results cannot be created ({error.strerror})"
+            msg = (
+                f"{folder}: the folder for results cannot be created ({error.strerror})"
+            )
             raise ArchiveError(msg) from error
 
     def file_of(self, session: Path) -> Path:
         """File of this session's result; sessions of the same name in two folders have separate files."""
         hash_of_path = hashlib.sha256(str(session.resolve()).encode()).hexdigest()[:8]
-        return self.folder / f"{session.resolve().stem or 'session'}-{hash_of_path}.json"
+        return (
+            self.folder / f"{session.resolve().stem or 'session'}-{hash_of_path}.json"
+        )
 
     def find(self, session: Path, key: str) -> dict[str, Any] | None:
         """The stored result of this session if it has this key, i.e. if nothing it depends on has changed."""
@@ -195,13 +208,23 @@ class Store:
             ArchiveError: writing fails.
         """
         file = self.file_of(session)
-        stored = {"key": key, "path": str(session.resolve()), "software": software(), "result": record}
+        stored = {
+            "key": key,
+            "path": str(session.resolve()),
+            "software": software(),
+            "result": record,
+        }
         draft = file.with_name(f".{file.name}.{os.getpid()}")
         try:
-            draft.write_text(json.dumps(stored, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+            draft.write_text(
+                json.dumps(stored, allow_nan=False, ensure_ascii=False) + "\n",
+                encoding="utf-8",
+            )
             draft.replace(file)
         except OSError as error:
-            raise ArchiveError(f"{file}: the result cannot be written ({error.strerror})") from error
+            raise ArchiveError(
+                f"{file}: the result cannot be written ({error.strerror})"
+            ) from error
         finally:
             with contextlib.suppress(OSError):
                 draft.unlink()

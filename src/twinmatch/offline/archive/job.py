@@ -81,9 +81,17 @@ def judge_job(job: Job, place: str = "") -> JobResult:
         content = content_of(job.path)
     except OSError as error:
         hint = "; workers read sessions under the same path as here" if place else ""
-        return JobResult(job.number, None, f"{job.path}: cannot be read{place} ({error.strerror}){hint}")
+        return JobResult(
+            job.number,
+            None,
+            f"{job.path}: cannot be read{place} ({error.strerror}){hint}",
+        )
     if content != job.content:
-        change = f"differs{place} from the session here" if place else "has changed since the run started"
+        change = (
+            f"differs{place} from the session here"
+            if place
+            else "has changed since the run started"
+        )
         return JobResult(job.number, None, f"{job.path}: {change}")
     try:
         return JobResult(job.number, _record(job))
@@ -99,7 +107,7 @@ def judge_job(job: Job, place: str = "") -> JobResult:
 def _record(job: Job) -> dict[str, Any]:
     """The judged session as a dictionary for JSON, with one row per candidate."""
     from twinmatch.importing import open_any  # noqa: PLC0415
-    from twinmatch.offline.judging import judge_samples, terms_from_files  # noqa: PLC0415 — numpy: not before the process is set up
+    from twinmatch.offline.judging import judge_samples, terms_from_files  # noqa: PLC0415
     from twinmatch.parameters.twin import at_period  # noqa: PLC0415
     from twinmatch.plants import plant_named  # noqa: PLC0415
     from twinmatch.sessions import SessionError  # noqa: PLC0415
@@ -107,16 +115,28 @@ def _record(job: Job) -> dict[str, Any]:
     terms = job.terms
     session = open_any(job.path)
     settings = terms.settings
-    if terms.fixed and session.plant and plant_named(session.plant) is not settings.plant:
-        raise SessionError(f"{job.path}: was recorded from plant {session.plant}, not {settings.plant.name}")
+    if (
+        terms.fixed
+        and session.plant
+        and plant_named(session.plant) is not settings.plant
+    ):
+        raise SessionError(
+            f"{job.path}: was recorded from plant {session.plant}, not {settings.plant.name}"
+        )
     if terms.config is None:
         session = replace(session, plant=session.plant or settings.plant.name)
         settings = terms_from_files(session).settings
     settings = at_period(settings, session.period, terms.config)
     judgement = judge_samples(
-        session.name, session.samples, settings, initial_candidates=terms.given, notes=session.notes
+        session.name,
+        session.samples,
+        settings,
+        initial_candidates=terms.given,
+        notes=session.notes,
     )
-    document = terms.document(judgement.name, judgement.verdicts, judgement.summary, judgement.matches)
+    document = terms.document(
+        judgement.name, judgement.verdicts, judgement.summary, judgement.matches
+    )
     return document | {"candidates": _rows(judgement, document)}
 
 
@@ -134,14 +154,33 @@ def _rows(judgement: Judgement, document: dict[str, Any]) -> list[dict[str, Any]
     longest = max(judgement.stretches, key=len)
     rows = []
     for candidate, recorded_candidate in zip(
-        judgement.verdicts[-1].family, document["verdicts"][-1]["candidates"], strict=False
+        judgement.verdicts[-1].family,
+        document["verdicts"][-1]["candidates"],
+        strict=False,
     ):
-        chosen = next((o for o in recorded_candidate["orders"] if o["order"] == candidate.chosen_order), None)
+        chosen = next(
+            (
+                o
+                for o in recorded_candidate["orders"]
+                if o["order"] == candidate.chosen_order
+            ),
+            None,
+        )
         fits = window_fits(candidate.parameters, longest, law)
         rows.append(
-            {"session": judgement.name, "nominal": candidate.name == judgement.summary.nominal}
-            | {key: value for key, value in recorded_candidate.items() if key != "orders"}
-            | {"criteria": chosen and chosen["total"] | {key: chosen[key] for key in _CRITERIA}}
+            {
+                "session": judgement.name,
+                "nominal": candidate.name == judgement.summary.nominal,
+            }
+            | {
+                key: value
+                for key, value in recorded_candidate.items()
+                if key != "orders"
+            }
+            | {
+                "criteria": chosen
+                and chosen["total"] | {key: chosen[key] for key in _CRITERIA}
+            }
             | {"fit": finite(fits.shown)}
         )
     return rows
@@ -153,7 +192,7 @@ def judge_in_processes(jobs: Sequence[Job], processes: int) -> Iterator[JobResul
     If a process dies (out of memory, for example), the sessions without an outcome are judged again one by
     one, which finds the one that caused it. Closing the iterator terminates the processes at once.
     """
-    from concurrent.futures.process import BrokenProcessPool  # noqa: PLC0415 — slow to import
+    from concurrent.futures.process import BrokenProcessPool  # noqa: PLC0415
 
     jobs_left = {job.number: job for job in jobs}
     try:
@@ -165,7 +204,9 @@ def judge_in_processes(jobs: Sequence[Job], processes: int) -> Iterator[JobResul
             try:
                 yield from _run_in_pool([job], 1)
             except BrokenProcessPool:
-                yield JobResult(job.number, None, f"{job.path}: the process that judged it died")
+                yield JobResult(
+                    job.number, None, f"{job.path}: the process that judged it died"
+                )
 
 
 def _run_in_pool(jobs: Sequence[Job], processes: int) -> Iterator[JobResult]:
@@ -205,14 +246,16 @@ def _connect(address: str) -> Client:
         ClusterError: it cannot be reached, or the library is not installed.
     """
     try:
-        from distributed import Client  # noqa: PLC0415 — rarely needed
+        from distributed import Client  # noqa: PLC0415
         from distributed.comm import get_address_host_port  # noqa: PLC0415
     except ImportError as error:
         msg = f"--scheduler needs the package 'distributed' ({error}); pip install 'twinmatch[cluster]'"
         raise ClusterError(msg) from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # no tracebacks; failures are reported here
+    # no tracebacks; failures are reported here
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
-        get_address_host_port(address)  # with an invalid address the client would block for 20 s
+        # with an invalid address the client would block for 20 s
+        get_address_host_port(address)
         return Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         msg = f"scheduler {address}: cannot be reached ({_first_line(error)}); give it as tcp://HOST:PORT"
@@ -252,12 +295,15 @@ def _look(paths: list[Path]) -> tuple[str, list[Path]]:
 def _submit(client: Client, job: Job) -> Future:
     """Submit a job in a form that the scheduler handles without this package."""
 
-    def judge_there(packed: bytes) -> tuple[Any, ...]:  # local, so that it is sent by value
+    def judge_there(packed: bytes) -> tuple[Any, ...]:
+        # local, so that it is sent by value
         from twinmatch.offline.archive.job import judge_packed  # noqa: PLC0415
 
         return judge_packed(packed)
 
-    return client.submit(judge_there, pickle.dumps(job), key=f"twinmatch-{uuid4()}", pure=False)
+    return client.submit(
+        judge_there, pickle.dumps(job), key=f"twinmatch-{uuid4()}", pure=False
+    )
 
 
 def judge_packed(packed: bytes) -> tuple[Any, ...]:
@@ -265,11 +311,13 @@ def judge_packed(packed: bytes) -> tuple[Any, ...]:
     from distributed import get_worker  # noqa: PLC0415
 
     with _one_at_a_time:
-        job: Job = pickle.loads(packed)  # noqa: S301 — from the client whose code this worker runs anyway
+        job: Job = pickle.loads(packed)  # noqa: S301
         return tuple(judge_job(job, f" on worker {get_worker().address}"))
 
 
-def _outcomes(client: Client, address: str, futures: dict[Future, Job]) -> Iterator[JobResult]:
+def _outcomes(
+    client: Client, address: str, futures: dict[Future, Job]
+) -> Iterator[JobResult]:
     """The outcomes of submitted jobs as they complete.
 
     Raises:
@@ -283,7 +331,9 @@ def _outcomes(client: Client, address: str, futures: dict[Future, Job]) -> Itera
             yield JobResult(*future.result())
         elif future.status == "error":
             error = future.exception()
-            reason = f"{job.path}: the cluster could not judge it ({_first_line(error)})"
+            reason = (
+                f"{job.path}: the cluster could not judge it ({_first_line(error)})"
+            )
             yield JobResult(job.number, None, reason)
         else:
             msg = f"scheduler {address}: connection lost after {count} of {len(futures)} sessions"

@@ -16,7 +16,14 @@ from twinmatch.offline.backtest.run import (
     graded_outputs,
     portable,
 )
-from twinmatch.offline.backtest.scoring import PEERS, Backtest, Card, Marked, cards, marks
+from twinmatch.offline.backtest.scoring import (
+    PEERS,
+    Backtest,
+    Card,
+    Marked,
+    cards,
+    marks,
+)
 
 __all__ = [
     "PEERS",

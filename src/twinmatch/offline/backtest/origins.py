@@ -96,7 +96,9 @@ class SettledStretch:
         """
         if self._newest or self._window is None:
             newest = Window.from_samples(self._newest, self._period)
-            self._window = newest if self._window is None else self._window.joined(newest)
+            self._window = (
+                newest if self._window is None else self._window.joined(newest)
+            )
             self._newest = []
         return self._window
 
@@ -131,7 +133,9 @@ def ask(arx: ArxForecast, origin: Origin) -> dict[str, Forecast]:
     size = origin.count
     outputs = origin.past.outputs.shape[1]
     unknown = np.full(size, np.nan)
-    bands = [tuple(Band(mean, unknown, unknown) for mean in means) for means in forecasts]
+    bands = [
+        tuple(Band(mean, unknown, unknown) for mean in means) for means in forecasts
+    ]
     return {
         name: Forecast(
             sample=origin.sample,
@@ -167,11 +171,13 @@ def mark(
     ]
     return [
         Marked(session, origin.sample, horizon, forecaster, result, candidate)
-        for horizon, result in zip(reached, marks(forecast, actual, reached, plant), strict=True)
+        for horizon, result in zip(
+            reached, marks(forecast, actual, reached, plant), strict=True
+        )
     ]
 
 
-def scores(  # noqa: PLR0917 (each settled in its turn by a `partial`)
+def scores(  # noqa: PLR0917
     session: str,
     horizons: Sequence[float],
     origin: Origin,
@@ -183,5 +189,11 @@ def scores(  # noqa: PLR0917 (each settled in its turn by a `partial`)
     for forecaster, candidate, forecast in forecasts:
         of_output = forecast.alone(k)
         yield from mark(
-            session, forecaster, of_output, origin, horizons=horizons, plant=plant, candidate=candidate
+            session,
+            forecaster,
+            of_output,
+            origin,
+            horizons=horizons,
+            plant=plant,
+            candidate=candidate,
         )

@@ -15,7 +15,13 @@ import numpy as np
 from twinmatch.dynamics import SKIPPED, Law, Parameters, Plant, channels
 from twinmatch.forecasting import CONFIDENCE, ArxForecast, Band, Forecast, Outlook
 from twinmatch.importing import open_any
-from twinmatch.offline.backtest.origins import Origin, SettledStretch, ask, origins, scores
+from twinmatch.offline.backtest.origins import (
+    Origin,
+    SettledStretch,
+    ask,
+    origins,
+    scores,
+)
 from twinmatch.offline.backtest.scoring import (
     CONSTANT,
     LEADER,
@@ -59,10 +65,14 @@ class Choices:
 
     def __post_init__(self) -> None:
         if self.horizons == ():
-            raise BacktestError("backtest: there is no horizon; give at least one, in seconds")
+            raise BacktestError(
+                "backtest: there is no horizon; give at least one, in seconds"
+            )
         unknown = [name for name in self.peers if name not in PEERS]
         if unknown:
-            raise BacktestError(f"backtest: no peer {unknown[0]!r}; choose from {', '.join(PEERS)}")
+            raise BacktestError(
+                f"backtest: no peer {unknown[0]!r}; choose from {', '.join(PEERS)}"
+            )
 
     def ahead(self, scored: tuple[float, ...], period: float) -> tuple[float, ...]:
         """The horizons from near to far, s: those chosen, or the twin's `scored` ones as far as they last a
@@ -74,7 +84,9 @@ class Choices:
         return tuple(sorted(set(self.horizons)))
 
 
-def with_constant_band(forecast: Forecast, parameters: Parameters, past: Window, law: Law | None) -> Forecast:
+def with_constant_band(
+    forecast: Forecast, parameters: Parameters, past: Window, law: Law | None
+) -> Forecast:
     """The same means with a band of one width at all horizons.
 
     The band contains its share of the residuals of the closed-loop twin over the whole past (measured minus
@@ -82,10 +94,14 @@ def with_constant_band(forecast: Forecast, parameters: Parameters, past: Window,
     part of that past, so the band tends to be narrow; such bands are usually made so.
     """
     twin = response_on(parameters, past, law)
-    outputs = _around(forecast.outputs, past.outputs[SKIPPED:] - twin.outputs, forecast.confidence)
+    outputs = _around(
+        forecast.outputs, past.outputs[SKIPPED:] - twin.outputs, forecast.confidence
+    )
     if law is None:
         return replace(forecast, outputs=outputs)
-    unlimited = _around(forecast.inputs, past.inputs[SKIPPED:] - twin.inputs, forecast.confidence)
+    unlimited = _around(
+        forecast.inputs, past.inputs[SKIPPED:] - twin.inputs, forecast.confidence
+    )
     drives = parameters.model.plant.drives.values()
     inputs = []
     for band, drive in zip(unlimited, drives, strict=True):
@@ -95,7 +111,9 @@ def with_constant_band(forecast: Forecast, parameters: Parameters, past: Window,
     return replace(forecast, outputs=outputs, inputs=tuple(inputs))
 
 
-def _around(bands: Sequence[Band], residuals: FloatArray, confidence: float) -> tuple[Band, ...]:
+def _around(
+    bands: Sequence[Band], residuals: FloatArray, confidence: float
+) -> tuple[Band, ...]:
     """The bands' means with the quantiles of the residuals around them, which hold that share."""
     tails = ((1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0)
     around = []
@@ -189,8 +207,14 @@ class Listener:
         """Have the oldest forecasts that wait graded, if the nearest horizon has been reached."""
         sample, asked = self._waiting.popleft()
         driven = self.common.settings.law is None
-        for origin in origins([self._stretch.window()], [sample], self.horizons, driven=driven):
-            task = self.work.give(_grade, self.common, origin, asked) if LEADER in asked.who else None
+        for origin in origins(
+            [self._stretch.window()], [sample], self.horizons, driven=driven
+        ):
+            task = (
+                self.work.give(_grade, self.common, origin, asked)
+                if LEADER in asked.who
+                else None
+            )
             self.graded[sample] = task
 
     def spoilt(self, first: int, last: int) -> bool:
@@ -211,7 +235,9 @@ def _outlooks(twin: Twin) -> _Outlooks:
         NEWEST: next((name for name in names if name not in structures), None),
     }
     present = {role: name for role, name in candidate_of.items() if name in names}
-    return _Outlooks({name: forecaster.outlook(name) for name in names}, present, forecaster.arx)
+    return _Outlooks(
+        {name: forecaster.outlook(name) for name in names}, present, forecaster.arx
+    )
 
 
 def _grade(shared: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
@@ -220,22 +246,31 @@ def _grade(shared: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
 
     with one_thread():
         rows = origin.disturbances
-        forecasts = {n: outlook.forecast(origin.ahead, rows) for n, outlook in asked.outlooks.items()}
+        forecasts = {
+            n: outlook.forecast(origin.ahead, rows)
+            for n, outlook in asked.outlooks.items()
+        }
     of_constant = []
     nominal = asked.who.get(NOMINAL)
     if nominal is not None and len(origin.past) > SKIPPED + 1:
         parameters = asked.outlooks[nominal].parameters
         with one_thread():
-            constant = with_constant_band(forecasts[nominal], parameters, origin.past, settings.law)
+            constant = with_constant_band(
+                forecasts[nominal], parameters, origin.past, settings.law
+            )
         of_constant.append((CONSTANT, nominal, constant))
     asked_peers = ask(asked.arx, origin)
     of_peers = [(PEERS[name], "", asked_peers[name]) for name in names]
     marked = []
     for k, plant in outputs_alone(settings.plant):
         scored = partial(scores, session, horizons, origin.alone(k), plant, k)
-        of_candidates = {n: list(scored([(n, n, forecast)])) for n, forecast in forecasts.items()}
+        of_candidates = {
+            n: list(scored([(n, n, forecast)])) for n, forecast in forecasts.items()
+        }
         of_roles = [
-            replace(mark, who=role) for role, name in asked.who.items() for mark in of_candidates[name]
+            replace(mark, who=role)
+            for role, name in asked.who.items()
+            for mark in of_candidates[name]
         ]
         hindsight = best_in_hindsight(chain.from_iterable(of_candidates.values()))
         marked.append([*of_roles, *scored(of_constant), *hindsight, *scored(of_peers)])
@@ -297,10 +332,14 @@ def backtest_outputs(
         terms = terms_from_files(session, config, candidates)
         portable_work = work if portable(terms.settings.plant) else None
         tests = backtest(session, terms, choices, watch=watch, work=portable_work)
-        return tuple(replace(test, notes=(*session.missing, *test.notes)) for test in tests)
+        return tuple(
+            replace(test, notes=(*session.missing, *test.notes)) for test in tests
+        )
 
 
-def backtest_session(path: Path, choices: Choices | None = None, **options: Any) -> Backtest:
+def backtest_session(
+    path: Path, choices: Choices | None = None, **options: Any
+) -> Backtest:
     """Test the twin of a plant with one output on a session; arguments as of `backtest_outputs`.
 
     Raises:
@@ -309,7 +348,9 @@ def backtest_session(path: Path, choices: Choices | None = None, **options: Any)
     return one_of_each("output", backtest_outputs(path, choices, **options))
 
 
-def graded(judgement: Judgement, listener: Listener, *, watch: Watch | None = None) -> Backtest:
+def graded(
+    judgement: Judgement, listener: Listener, *, watch: Watch | None = None
+) -> Backtest:
     """The scores of all forecasts of a plant with one output; see `graded_outputs`."""
     return one_of_each("output", graded_outputs(judgement, listener, watch=watch))
 
@@ -348,13 +389,21 @@ def graded_outputs(
     for k, alone in outputs_alone(plant):
         all_marks: list[Marked] = []
         for graded_origin, unspoilt_horizons in results:
-            all_marks += [mark for mark in graded_origin.marked[k] if mark.horizon in unspoilt_horizons]
+            all_marks += [
+                mark
+                for mark in graded_origin.marked[k]
+                if mark.horizon in unspoilt_horizons
+            ]
         marked = common(all_marks)
         judged = {mark.sample for mark in marked}
-        pictured = one_after_another(result.shown for result, _ in results if result.shown.sample in judged)
+        pictured = one_after_another(
+            result.shown for result, _ in results if result.shown.sample in judged
+        )
         tests.append(
             Backtest(
-                name=judgement.name if alone is plant else named_after(judgement.name, alone),
+                name=judgement.name
+                if alone is plant
+                else named_after(judgement.name, alone),
                 plant=alone,
                 period=period,
                 horizons=listener.horizons,
@@ -362,7 +411,9 @@ def graded_outputs(
                 marked=tuple(marked),
                 came=tuple(window.alone(k) for window in judgement.stretches),
                 shown=tuple(forecast.alone(k) for forecast in pictured),
-                notes=tuple(_notes(total, judged, all_marks, spoilt=spoilt, unasked=unasked)),
+                notes=tuple(
+                    _notes(total, judged, all_marks, spoilt=spoilt, unasked=unasked)
+                ),
                 last=judgement.verdicts[-1] if judgement.verdicts else None,
                 summary=judgement.summary,
             )
@@ -396,7 +447,9 @@ def _notes(
     for mark in marked:
         answered.setdefault(mark.sample, set()).add(mark.who)
     everybody = {mark.who for mark in marked}
-    short = [everybody - names for sample, names in answered.items() if sample not in judged]
+    short = [
+        everybody - names for sample, names in answered.items() if sample not in judged
+    ]
     if short:
         names = ", ".join(sorted(set().union(*short) - {CONSTANT}))
         yield f"{len(short)} of {asked} forecasts are left out: some forecasters lacked samples ({names})"

@@ -68,7 +68,9 @@ class Marks:
         return (self.output.score + self.input.score) / 2.0
 
 
-def interval_score(low: FloatArray, high: FloatArray, came: FloatArray, confidence: float) -> FloatArray:
+def interval_score(
+    low: FloatArray, high: FloatArray, came: FloatArray, confidence: float
+) -> FloatArray:
     """Interval score of known values; its expectation is least for the true quantiles.
 
     S = (high − low) + 2/α (low − x)⁺ + 2/α (x − high)⁺ with α = 1 − confidence: Gneiting and Raftery,
@@ -81,7 +83,9 @@ def interval_score(low: FloatArray, high: FloatArray, came: FloatArray, confiden
         BacktestError: the confidence is not between 0 and 1.
     """
     if not 0.0 < confidence < 1.0:
-        raise BacktestError(f"interval score: the confidence is {confidence}; it must lie between 0 and 1")
+        raise BacktestError(
+            f"interval score: the confidence is {confidence}; it must lie between 0 and 1"
+        )
     outside = np.maximum(low - came, 0.0) + np.maximum(came - high, 0.0)
     return np.asarray(high - low + 2.0 / (1.0 - confidence) * outside, dtype=np.float64)
 
@@ -99,7 +103,9 @@ def samples_within(horizon: float, period: float) -> int:
     return count
 
 
-def marks(forecast: Forecast, came: Window, horizons: Sequence[float], plant: type[Plant]) -> list[Marks]:
+def marks(
+    forecast: Forecast, came: Window, horizons: Sequence[float], plant: type[Plant]
+) -> list[Marks]:
     """Score a forecast by the actual samples, up to each horizon.
 
     Args:
@@ -124,12 +130,22 @@ def marks(forecast: Forecast, came: Window, horizons: Sequence[float], plant: ty
     confidence = forecast.confidence
     is_received = came.seen
     outputs = _marks_of_signal(
-        forecast.output, came.output, plant.output.noise, confidence, counts, is_received=is_received
+        forecast.output,
+        came.output,
+        plant.output.noise,
+        confidence,
+        counts,
+        is_received=is_received,
     )
     if not forecast.closed:
         return [Marks(output, None) for output in outputs]
     inputs = _marks_of_signal(
-        forecast.input, came.input, plant.drive.noise, confidence, counts, is_received=is_received
+        forecast.input,
+        came.input,
+        plant.drive.noise,
+        confidence,
+        counts,
+        is_received=is_received,
     )
     return list(map(Marks, outputs, inputs))
 
@@ -157,10 +173,14 @@ def _marks_of_signal(
     inside_width_score = np.array([inside, high - low, scores])
     marks_by_horizon = []
     for count in counts:
-        received = slice(count) if is_received is None else np.flatnonzero(is_received[:count])
+        received = (
+            slice(count) if is_received is None else np.flatnonzero(is_received[:count])
+        )
         coverage, width, score = inside_width_score[:, received].mean(axis=1).tolist()
         error_of_path = float(rms(error[received]))
-        marks_by_horizon.append(SignalMarks(error_of_path, float(error[count - 1]), coverage, width, score))
+        marks_by_horizon.append(
+            SignalMarks(error_of_path, float(error[count - 1]), coverage, width, score)
+        )
     return marks_by_horizon
 
 
@@ -297,7 +317,9 @@ def _scored_signals(marks_of_forecasts: Sequence[Marks]) -> list[list[SignalMark
 
 def _figures(name: str, signals: Sequence[Sequence[SignalMarks]]) -> FloatArray:
     """One figure of the signals of every forecast, shape (N, 1 or 2)."""
-    return np.array([[getattr(signal, name) for signal in of_forecast] for of_forecast in signals])
+    return np.array(
+        [[getattr(signal, name) for signal in of_forecast] for of_forecast in signals]
+    )
 
 
 def _pair(figures: FloatArray) -> tuple[float, float]:
@@ -374,7 +396,9 @@ def over_all(tests: Sequence[Backtest]) -> Backtest:
     names = [test.name for test in tests]
     marked: list[Marked] = []
     for number, test in enumerate(tests, 1):
-        distinct_name = f"{test.name} ({number})" if names.count(test.name) > 1 else test.name
+        distinct_name = (
+            f"{test.name} ({number})" if names.count(test.name) > 1 else test.name
+        )
         marked += [replace(mark, session=distinct_name) for mark in test.marked]
     return replace(
         first,

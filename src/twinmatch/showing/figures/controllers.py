@@ -27,16 +27,26 @@ def draw_answer(answer: ControllerAnswer) -> Figure:
     """A row for each output with its set-points, then one for each command."""
     plant = answer.plant
     figure, output_axes, input_axes = _rows_for(plant)
-    for j, (axes, (name, output)) in enumerate(zip(output_axes, plant.outputs.items(), strict=True)):
+    for j, (axes, (name, output)) in enumerate(
+        zip(output_axes, plant.outputs.items(), strict=True)
+    ):
         draw_set_point(axes, answer.time, answer.references[:, j], 0.9, named=not j)
         _draw(axes, answer, "outputs", j)
         axes.set_ylabel(with_unit(name.replace("_", " "), output.unit))
-    for i, (axes, (name, drive)) in enumerate(zip(input_axes, plant.drives.items(), strict=True)):
+    for i, (axes, (name, drive)) in enumerate(
+        zip(input_axes, plant.drives.items(), strict=True)
+    ):
         _draw(axes, answer, "inputs", i)
-        axes.set_ylabel(drive.unit if name.lower() == drive.unit.lower() else with_unit(name, drive.unit))
+        axes.set_ylabel(
+            drive.unit
+            if name.lower() == drive.unit.lower()
+            else with_unit(name, drive.unit)
+        )
     input_axes[-1].set_xlabel("time / s")
     output_axes[0].set_title("\n".join(wrap(answer.sentence, _LETTERS)), size=9)
-    figure.legend(*output_axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.legend(
+        *output_axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4
+    )
     return figure
 
 
@@ -49,7 +59,9 @@ def draw_experiment(experiment: NextExperiment) -> Figure:
     time = np.arange(len(course.rows), dtype=np.float64) * holding.period
     figure, output_axes, input_axes = _rows_for(plant)
     signals: dict[str, Output | Drive] = {**plant.outputs, **plant.drives}
-    for axes, (name, signal) in zip([*output_axes, *input_axes], signals.items(), strict=True):
+    for axes, (name, signal) in zip(
+        [*output_axes, *input_axes], signals.items(), strict=True
+    ):
         axes.set_ylabel(with_unit(name.replace("_", " "), signal.unit))
         axes.margins(x=0.01)
     for j, axes in enumerate(output_axes):
@@ -61,7 +73,9 @@ def draw_experiment(experiment: NextExperiment) -> Figure:
         for run in course.runs:
             axes.plot(time, run.inputs[:, i], color=CLOSED, lw=0.8)
     input_axes[-1].set_xlabel("time / s")
-    figure.legend(*output_axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.legend(
+        *output_axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4
+    )
     return figure
 
 
@@ -73,22 +87,40 @@ def _rows_for(plant: type[Plant]) -> tuple[Figure, list[Axes], list[Axes]]:
     return figure, axes[: len(plant.outputs)], axes[len(plant.outputs) :]
 
 
-def _draw_run(axes: Axes, time: FloatArray, middle: FloatArray, half: FloatArray, *, named: bool) -> None:
+def _draw_run(
+    axes: Axes, time: FloatArray, middle: FloatArray, half: FloatArray, *, named: bool
+) -> None:
     """One twin's output with its band of this half width."""
     label = "all twins, with their 90 % bands" if named else None
     axes.plot(time, middle, color=CLOSED, lw=0.8, label=label)
-    axes.fill_between(time, middle - half, middle + half, color=CLOSED, alpha=0.15, lw=0)
+    axes.fill_between(
+        time, middle - half, middle + half, color=CLOSED, alpha=0.15, lw=0
+    )
 
 
 def _draw(axes: Axes, answer: ControllerAnswer, kind: str, place: int) -> None:
     """The bands of both laws for one signal; `kind` is `outputs` or `inputs`."""
     if answer.running is not None:
-        _band(axes, answer.time, getattr(answer.running, kind)[:, :, place], PLANT, "law that ran")
-    _band(axes, answer.time, getattr(answer.courses, kind)[:, :, place], CLOSED, "law that is tried")
+        _band(
+            axes,
+            answer.time,
+            getattr(answer.running, kind)[:, :, place],
+            PLANT,
+            "law that ran",
+        )
+    _band(
+        axes,
+        answer.time,
+        getattr(answer.courses, kind)[:, :, place],
+        CLOSED,
+        "law that is tried",
+    )
     axes.margins(x=0.01)
 
 
-def _band(axes: Axes, time: FloatArray, rows: FloatArray, colour: str, name: str) -> None:
+def _band(
+    axes: Axes, time: FloatArray, rows: FloatArray, colour: str, name: str
+) -> None:
     """The band of one law, with its median."""
     low, median, high = rows
     axes.fill_between(time, low, high, color=colour, alpha=0.25, lw=0)

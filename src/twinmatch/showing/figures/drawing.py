@@ -28,7 +28,7 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(draw)
     def inside(*args: P.args, **kwargs: P.kwargs) -> R:
-        from matplotlib import rc_context  # noqa: PLC0415 — slow, and rarely needed
+        from matplotlib import rc_context  # noqa: PLC0415
 
         settings: Any = rc()
         with rc_context(settings):
@@ -44,7 +44,9 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def stack(figure: Figure, ratios: Sequence[float], cell: SubplotSpec | None = None) -> list[Axes]:
+def stack(
+    figure: Figure, ratios: Sequence[float], cell: SubplotSpec | None = None
+) -> list[Axes]:
     """Axes with one time axis below one another, heights in these ratios, in the figure or a cell of it."""
     axes: list[Axes] = []
     shape: Any = {"nrows": len(ratios), "ncols": 1, "height_ratios": list(ratios)}
@@ -82,12 +84,17 @@ def _arrange(figure: Figure) -> None:
     engine = figure.get_layout_engine()
     if engine is not None:
         for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-            if not axis.get_label_text():  # otherwise its ticks are laid out again to place no label
+            if not axis.get_label_text():
+                # otherwise its ticks are laid out again to place no label
                 axis.set_label_coords(0.0, 0.0)
         engine.execute(figure)
-        figure.set_layout_engine(None)  # with another, matplotlib would draw the figure twice
-        for axes in figure.axes:  # the solver's last digits vary between runs, and so would names in an SVG
-            x, y, width, height = (round(edge, 6) for edge in axes.get_position(original=True).bounds)
+        # with another, matplotlib would draw the figure twice
+        figure.set_layout_engine(None)
+        for axes in figure.axes:
+            # the solver's last digits vary between runs, and so would names in an SVG
+            x, y, width, height = (
+                round(edge, 6) for edge in axes.get_position(original=True).bounds
+            )
             axes.set_position((x, y, width, height))
 
 
@@ -99,11 +106,14 @@ def save(figure: Figure, path: Path) -> None:
         TwinmatchError: matplotlib cannot write such a file there.
     """
     _arrange(figure)
-    undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}  # the same figure, the same file
+    # the same figure, the same file
+    undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     try:
         figure.savefig(path, metadata=undated.get(path.suffix.lower()))
     except (OSError, ValueError) as error:
-        raise TwinmatchError(f"{path}: the figure cannot be written: {error}") from error
+        raise TwinmatchError(
+            f"{path}: the figure cannot be written: {error}"
+        ) from error
 
 
 @styled
@@ -132,7 +142,9 @@ def time_axis(axes: Axes, period: float, first: int, last: int) -> None:
 
 def name_signals(axes: Sequence[Axes], signals: ShownSignals, difference: str) -> None:
     """Label output, input, and the differences of both, as far as there are axes."""
-    labels = [signal.label for signal in signals] + [with_unit(difference, signal.unit) for signal in signals]
+    labels = [signal.label for signal in signals] + [
+        with_unit(difference, signal.unit) for signal in signals
+    ]
     for signal_axes, label in zip(axes, labels, strict=False):
         signal_axes.set_ylabel(label)
 
@@ -140,29 +152,67 @@ def name_signals(axes: Sequence[Axes], signals: ShownSignals, difference: str) -
 def empty(axes: Axes, words: str) -> None:
     """Show text in place of an empty chart."""
     axes.set_axis_off()
-    axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes, color="#5C5C5C")
+    axes.text(
+        0.5,
+        0.5,
+        words,
+        ha="center",
+        va="center",
+        transform=axes.transAxes,
+        color="#5C5C5C",
+    )
 
 
-def draw_set_point(axes: Axes, time: FloatArray, reference: FloatArray, width: float, *, named: bool) -> None:
+def draw_set_point(
+    axes: Axes, time: FloatArray, reference: FloatArray, width: float, *, named: bool
+) -> None:
     """The set-point as dashed steps; in the legend if `named`."""
     name = "set-point" if named else "_"  # matplotlib omits such labels from the legend
-    axes.plot(time, reference, color=SET_POINT, lw=width, ls="--", drawstyle="steps-post", label=name)
+    axes.plot(
+        time,
+        reference,
+        color=SET_POINT,
+        lw=width,
+        ls="--",
+        drawstyle="steps-post",
+        label=name,
+    )
 
 
 def draw_outputs(
-    axes: Axes, window: Window, *, closed: bool, named: bool = True, plant: str = "plant", **line: Any
+    axes: Axes,
+    window: Window,
+    *,
+    closed: bool,
+    named: bool = True,
+    plant: str = "plant",
+    **line: Any,
 ) -> None:
     """The measured output of the plant, called so in the legend, and, if `closed`, its set-point."""
     if closed:
         draw_set_point(axes, window.time, window.reference, 1, named=named)
-    axes.plot(window.time, window.output, color=PLANT, label=plant if named else "_", **line)
+    axes.plot(
+        window.time, window.output, color=PLANT, label=plant if named else "_", **line
+    )
 
 
-def draw_inputs(axes: Axes, window: Window, width: float, *, named: bool = False) -> None:
+def draw_inputs(
+    axes: Axes, window: Window, width: float, *, named: bool = False
+) -> None:
     """The measured input of the plant."""
-    axes.plot(window.time, window.input, color=PLANT, lw=width, label="plant" if named else "_")
+    axes.plot(
+        window.time,
+        window.input,
+        color=PLANT,
+        lw=width,
+        label="plant" if named else "_",
+    )
 
 
-def legend_above(axes: Axes, columns: int, height: float = 1.0, **spacing: float) -> None:
+def legend_above(
+    axes: Axes, columns: int, height: float = 1.0, **spacing: float
+) -> None:
     """The legend above the right end of a chart."""
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, height), ncols=columns, **spacing)
+    axes.legend(
+        loc="lower right", bbox_to_anchor=(1.0, height), ncols=columns, **spacing
+    )

@@ -65,7 +65,13 @@ def draw_criteria(verdict: Verdict) -> Figure:
         if k == 0:
             named = axes.get_legend_handles_labels()
             title = "order; a black frame marks the chosen one"
-            figure.legend(*named, loc="outside upper right", ncols=len(ORDERS), title=title, title_fontsize=8)
+            figure.legend(
+                *named,
+                loc="outside upper right",
+                ncols=len(ORDERS),
+                title=title,
+                title_fontsize=8,
+            )
     return figure
 
 
@@ -83,12 +89,17 @@ def _draw_bars(axes: Axes, verdict: Verdict, attribute: str) -> None:
     orders = [o.order for o in candidates[0].orders]
     places = np.arange(len(candidates))
     width = 0.8 / len(orders)
-    rows = [[getattr(order.total, attribute) for order in candidate.orders] for candidate in candidates]
+    rows = [
+        [getattr(order.total, attribute) for order in candidate.orders]
+        for candidate in candidates
+    ]
     table = _above_best(np.array(rows, dtype=float), attribute)
     for k, order in enumerate(orders):
         values = table[:, k]
         shifted = places + (k - (len(orders) - 1) / 2) * width
-        bars = axes.bar(shifted, values, width, label=order, color=ORDERS[k % len(ORDERS)])
+        bars = axes.bar(
+            shifted, values, width, label=order, color=ORDERS[k % len(ORDERS)]
+        )
         for bar, candidate in zip(bars, candidates, strict=True):
             if candidate.chosen_order == order:
                 bar.set_edgecolor("black")
@@ -131,7 +142,9 @@ def fill_matrix(axes: Axes, verdict: Verdict) -> None:
     axes.set_title("ν-gap between the plants\n(smallest Σ: nominal, bold)")
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
-    axes.figure.colorbar(image, ax=axes, shrink=0.8, label="ν-gap (0: the same, 1: entirely different)")
+    axes.figure.colorbar(
+        image, ax=axes, shrink=0.8, label="ν-gap (0: the same, 1: entirely different)"
+    )
 
 
 def _write_values(axes: Axes, image: Any, matrix: FloatArray) -> None:
@@ -139,7 +152,15 @@ def _write_values(axes: Axes, image: Any, matrix: FloatArray) -> None:
     size = 7 if len(matrix) > _CROWDED else 8
     for (row, column), value in np.ndenumerate(matrix):
         colour = "white" if _is_dark(image, float(value)) else TEXT
-        text = axes.text(column, row, f"{value:.2f}", ha="center", va="center", fontsize=size, color=colour)
+        text = axes.text(
+            column,
+            row,
+            f"{value:.2f}",
+            ha="center",
+            va="center",
+            fontsize=size,
+            color=colour,
+        )
         text.set_in_layout(False)  # it lies within its cell
 
 
@@ -151,7 +172,10 @@ def _is_dark(image: Any, value: float) -> bool:
 
 @styled
 def draw_parameters(
-    matches: Sequence[MatchReport], admitted_at: Collection[int], nominal: Match | None, period: float
+    matches: Sequence[MatchReport],
+    admitted_at: Collection[int],
+    nominal: Match | None,
+    period: float,
 ) -> Figure:
     """Value and 95 % interval of every parameter over the session; refused matches hollow.
 
@@ -167,18 +191,24 @@ def draw_parameters(
     axes = stack(figure, [1.0] * len(names))
     groups = {
         "refused": [m for m in fitted if m.sample not in admitted_at],
-        "admitted": [m for m in fitted if m.sample in admitted_at and m.match is not nominal],
+        "admitted": [
+            m for m in fitted if m.sample in admitted_at and m.match is not nominal
+        ],
         "nominal": [m for m in fitted if m.match is nominal],
     }
     for parameter_axes, name in zip(axes, names, strict=True):
         _draw_parameter(parameter_axes, groups, parameter_format(plant, name), period)
     axes[-1].set_xlabel("time since the session began / s")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3
+    )
     figure.align_ylabels(axes)
     return figure
 
 
-def _bars(matches: Sequence[Match], shown: ParameterFormat, values: FloatArray) -> FloatArray:
+def _bars(
+    matches: Sequence[Match], shown: ParameterFormat, values: FloatArray
+) -> FloatArray:
     """Lengths of the bars below and above the values, shape (2, N): none to an unbounded or unknown end."""
     intervals = np.array([interval(match, shown.name)[:2] for match in matches])
     ends = (intervals * shown.factor + shown.offset).T
@@ -187,7 +217,10 @@ def _bars(matches: Sequence[Match], shown: ParameterFormat, values: FloatArray) 
 
 
 def _draw_parameter(
-    axes: Axes, groups: Mapping[str, Sequence[MatchReport]], shown: ParameterFormat, period: float
+    axes: Axes,
+    groups: Mapping[str, Sequence[MatchReport]],
+    shown: ParameterFormat,
+    period: float,
 ) -> None:
     axes.set_ylabel(shown.label)
     styles: dict[str, dict[str, Any]] = {
@@ -197,12 +230,25 @@ def _draw_parameter(
     }
     all_values: list[float] = []
     for name, group in groups.items():
-        points = {m.sample * period: m.match for m in group if shown.name in m.match.free}
+        points = {
+            m.sample * period: m.match for m in group if shown.name in m.match.free
+        }
         if not points:
             continue
-        values = np.array([shown.shown(value_of(match, shown.name)) for match in points.values()])
+        values = np.array(
+            [shown.shown(value_of(match, shown.name)) for match in points.values()]
+        )
         bars = _bars(list(points.values()), shown, values)
-        axes.errorbar(list(points), values, bars, ls="", lw=1, capsize=2, label=name, **styles[name])
+        axes.errorbar(
+            list(points),
+            values,
+            bars,
+            ls="",
+            lw=1,
+            capsize=2,
+            label=name,
+            **styles[name],
+        )
         all_values += values.tolist()
     low = min(all_values)
     high = max(all_values)
@@ -245,14 +291,25 @@ def _draw_member(upper: Axes, control: Axes, member: Member, k: int) -> None:
     draw_outputs(upper, window, closed=closed, lw=1.4)
     upper.plot(time, twin.output, color=CLOSED, lw=1, label="twin")
     if model is not None:
-        upper.plot(time, model.output, color=MODEL, lw=0.9, ls=(0, (1, 1.2)), label="Box–Jenkins B/F")
+        upper.plot(
+            time,
+            model.output,
+            color=MODEL,
+            lw=0.9,
+            ls=(0, (1, 1.2)),
+            label="Box–Jenkins B/F",
+        )
     draw_inputs(control, window, 0.9)
     if closed:
         control.plot(time, twin.input, color=CLOSED, lw=0.9)
     if closed and model is not None:
         control.plot(time, model.input, color=MODEL, lw=0.8, ls=(0, (1, 1.2)))
-    mark = f"{f', order {order}' if order else ''}{', nominal' if member.nominal else ''}"
-    upper.set_title(f"{member.score.name}{mark}", weight="bold" if member.nominal else None)
+    mark = (
+        f"{f', order {order}' if order else ''}{', nominal' if member.nominal else ''}"
+    )
+    upper.set_title(
+        f"{member.score.name}{mark}", weight="bold" if member.nominal else None
+    )
     upper.margins(x=0.01)
 
 
@@ -265,7 +322,13 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
     loops = channels(nominal.settings.plant)
     figure, stacks = columns(10, 6.2, (3, 2, 1.5, 1.5), len(loops))
     for k, (axes, loop) in enumerate(zip(stacks, loops, strict=True)):
-        _draw_answers(axes, loop, window.alone(k), [answer.alone(k) for answer in answers], members)
+        _draw_answers(
+            axes,
+            loop,
+            window.alone(k),
+            [answer.alone(k) for answer in answers],
+            members,
+        )
         figure.align_ylabels(axes)
     named = stacks[0][0].get_legend_handles_labels()
     figure.legend(*named, loc="outside upper center", ncols=min(5, len(members) + 2))
@@ -283,21 +346,27 @@ def _draw_answers(
     time = window.time[SKIPPED:]
     draw_outputs(axes[0], window, closed=members[0].settings.law is not None, lw=2)
     draw_inputs(axes[1], window, 1.6)
-    for member, answer, colour in zip(members, answers, family_colours(len(members)), strict=True):
+    for member, answer, colour in zip(
+        members, answers, family_colours(len(members)), strict=True
+    ):
         line: dict[str, Any] = {"color": colour, "lw": 0.9, "zorder": 2}
         if member.nominal:
             line = {"color": CLOSED, "lw": 1.4, "zorder": 3}
         name = f"twin of {member.score.name}{' (nominal)' if member.nominal else ''}"
         axes[0].plot(time, answer.output, label=name, **line)
         axes[1].plot(time, answer.input, **line)
-    _draw_spread(axes[2], time, np.stack([answer.output for answer in answers]), members)
+    _draw_spread(
+        axes[2], time, np.stack([answer.output for answer in answers]), members
+    )
     _draw_spread(axes[3], time, np.stack([answer.input for answer in answers]), members)
     name_signals(axes, signal_names(plant), "minus nominal")
     axes[-1].set_xlabel("time since the session began / s")
     axes[0].margins(x=0.005)
 
 
-def _draw_spread(axes: Axes, time: FloatArray, table: FloatArray, members: Sequence[Member]) -> None:
+def _draw_spread(
+    axes: Axes, time: FloatArray, table: FloatArray, members: Sequence[Member]
+) -> None:
     """Difference of every twin of the family from the nominal one, and the band they span."""
     nominal = next((k for k, m in enumerate(members) if m.nominal), 0)
     difference = table - table[nominal]
@@ -314,4 +383,7 @@ def family_colours(count: int) -> list[tuple[float, ...]]:
     """A colour for every candidate, coldest operating point first."""
     from matplotlib import colormaps  # noqa: PLC0415
 
-    return [tuple(c) for c in colormaps[FAMILY_MAP](np.linspace(0.0, 0.9, max(count, 1)))[:count]]
+    return [
+        tuple(c)
+        for c in colormaps[FAMILY_MAP](np.linspace(0.0, 0.9, max(count, 1)))[:count]
+    ]

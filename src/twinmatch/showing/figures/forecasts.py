@@ -11,7 +11,15 @@ import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import CONFIDENCE, Band, Forecast
-from twinmatch.offline.backtest.scoring import CONSTANT, HINDSIGHT, LEADER, NEWEST, NOMINAL, Backtest, Card
+from twinmatch.offline.backtest.scoring import (
+    CONSTANT,
+    HINDSIGHT,
+    LEADER,
+    NEWEST,
+    NOMINAL,
+    Backtest,
+    Card,
+)
 from twinmatch.showing.figures.drawing import (
     draw_inputs,
     draw_outputs,
@@ -51,7 +59,9 @@ def draw_forecasts(fans: Sequence[Fan], plant: type[Plant]) -> Figure:
     grids = figure.add_gridspec(rows, columns, wspace=0.04, hspace=0.06)
     signals = signal_names(plant)
     for k, fan in enumerate(fans):
-        output, error, control = stack(figure, (3, 1.6, 2), grids[k // columns, k % columns])
+        output, error, control = stack(
+            figure, (3, 1.6, 2), grids[k // columns, k % columns]
+        )
         _draw(output, control, fan)
         _draw_error(error, fan)
         if k % columns == 0:
@@ -65,7 +75,10 @@ def draw_forecasts(fans: Sequence[Fan], plant: type[Plant]) -> Figure:
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True):
             line_of_label.setdefault(str(label), line)
     figure.legend(
-        list(line_of_label.values()), list(line_of_label), loc="outside upper right", ncols=len(line_of_label)
+        list(line_of_label.values()),
+        list(line_of_label),
+        loc="outside upper right",
+        ncols=len(line_of_label),
     )
     return figure
 
@@ -75,36 +88,74 @@ def _draw(output: Axes, control: Axes, fan: Fan) -> None:
     forecast = fan.forecast
     past = fan.past
     measured = fan.measured
-    past_samples = np.arange(past.first, past.last + 1, dtype=np.float64) - forecast.sample
+    past_samples = (
+        np.arange(past.first, past.last + 1, dtype=np.float64) - forecast.sample
+    )
     past_time = past_samples * past.period
     if forecast.closed:
         set_points = np.concatenate([past.reference, forecast.reference])
-        draw_set_point(output, np.concatenate([past_time, forecast.time]), set_points, 0.9, named=True)
+        draw_set_point(
+            output,
+            np.concatenate([past_time, forecast.time]),
+            set_points,
+            0.9,
+            named=True,
+        )
     output_after = np.empty(0) if measured is None else measured.output
     input_after = np.empty(0) if measured is None else measured.input
-    _draw_signal(output, past_time, past.output, forecast.time, forecast.output, output_after)
-    _draw_signal(control, past_time, past.input, forecast.time, forecast.input, input_after)
+    _draw_signal(
+        output, past_time, past.output, forecast.time, forecast.output, output_after
+    )
+    _draw_signal(
+        control, past_time, past.input, forecast.time, forecast.input, input_after
+    )
     name = "\n".join(wrap(forecast.candidate, _LETTERS))
     output.set_title(f"sample {forecast.sample}:\n{name}", size=9)
 
 
-def _draw_signal(  # noqa: PLR0917 (in the order of time)
-    axes: Axes, past_time: FloatArray, before: FloatArray, time: FloatArray, band: Band, after: FloatArray
+def _draw_signal(  # noqa: PLR0917
+    axes: Axes,
+    past_time: FloatArray,
+    before: FloatArray,
+    time: FloatArray,
+    band: Band,
+    after: FloatArray,
 ) -> None:
     """One signal before and after the sample of a forecast, and its band; `after` may be empty."""
     _fill(axes, time, band, label=_BAND)
     axes.plot(past_time, before, color=PLANT, lw=1.1, label="measured before")
     if after.size:
         dotted = (0, (1, 1))
-        axes.plot(time[: after.size], after, color=PLANT, lw=1.1, ls=dotted, label="measured afterwards")
+        axes.plot(
+            time[: after.size],
+            after,
+            color=PLANT,
+            lw=1.1,
+            ls=dotted,
+            label="measured afterwards",
+        )
     axes.plot(time, band.mean, color=CLOSED, lw=1.1, label="forecast")
     axes.axvline(0, color=SET_POINT, lw=0.8)
     axes.margins(x=0.01)
 
 
-def _fill(axes: Axes, time: FloatArray, band: Band, around: float | FloatArray = 0.0, **line: Any) -> None:
+def _fill(
+    axes: Axes,
+    time: FloatArray,
+    band: Band,
+    around: float | FloatArray = 0.0,
+    **line: Any,
+) -> None:
     """The band, or what it reaches to either side of some values."""
-    axes.fill_between(time, band.low - around, band.high - around, color=CLOSED, alpha=0.25, lw=0, **line)
+    axes.fill_between(
+        time,
+        band.low - around,
+        band.high - around,
+        color=CLOSED,
+        alpha=0.25,
+        lw=0,
+        **line,
+    )
 
 
 def _draw_error(axes: Axes, fan: Fan) -> None:
@@ -140,14 +191,28 @@ def draw_backtest(backtest: Backtest) -> Figure:
         looks = _looks(cards)
         _draw_errors(errors, cards, backtest.horizons, looks)
         _draw_coverage(coverage, backtest, cards, looks)
-        figure.legend(*errors.get_legend_handles_labels(), loc="outside upper center", ncols=len(looks))
+        figure.legend(
+            *errors.get_legend_handles_labels(),
+            loc="outside upper center",
+            ncols=len(looks),
+        )
     else:
         empty(errors, "no forecast could be judged")
         coverage.set_axis_off()
     output = figure.add_subplot(grid[1, :])
-    axes = (output, *(figure.add_subplot(grid[row, :], sharex=output) for row in (2, 3)))
+    axes = (
+        output,
+        *(figure.add_subplot(grid[row, :], sharex=output) for row in (2, 3)),
+    )
     for k, window in enumerate(backtest.came):
-        draw_outputs(output, window, closed=not backtest.driven, named=not k, plant="measured", lw=1)
+        draw_outputs(
+            output,
+            window,
+            closed=not backtest.driven,
+            named=not k,
+            plant="measured",
+            lw=1,
+        )
         draw_inputs(axes[-1], window, 0.8)
     for k, forecast in enumerate(backtest.shown):
         _draw_forecast(axes, forecast, backtest, first=k == 0)
@@ -178,15 +243,24 @@ def _marks(
 
 
 def _draw_errors(
-    axes: Axes, cards: Sequence[Card], horizons: Sequence[float], looks: dict[str, tuple[str, str]]
+    axes: Axes,
+    cards: Sequence[Card],
+    horizons: Sequence[float],
+    looks: dict[str, tuple[str, str]],
 ) -> None:
     """Median, and a line up to the value below which nine in ten are."""
-    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter  # noqa: PLC0415 — slow
+    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter  # noqa: PLC0415
 
     for forecaster, places, cards_of_forecaster in _marks(cards, horizons, looks):
         colour, marker = looks[forecaster]
         medians = [c.median for c in cards_of_forecaster]
-        axes.vlines(places, medians, [c.nine_in_ten for c in cards_of_forecaster], color=colour, lw=1.2)
+        axes.vlines(
+            places,
+            medians,
+            [c.nine_in_ten for c in cards_of_forecaster],
+            color=colour,
+            lw=1.2,
+        )
         axes.plot(places, medians, marker, color=colour, ms=6, label=forecaster)
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -198,12 +272,23 @@ def _draw_errors(
 
 
 def _draw_coverage(
-    axes: Axes, backtest: Backtest, cards: Sequence[Card], looks: dict[str, tuple[str, str]]
+    axes: Axes,
+    backtest: Backtest,
+    cards: Sequence[Card],
+    looks: dict[str, tuple[str, str]],
 ) -> None:
     """Share of the samples in the band: output filled, input hollow."""
-    for forecaster, places, cards_of_forecaster in _marks(cards, backtest.horizons, looks):
+    for forecaster, places, cards_of_forecaster in _marks(
+        cards, backtest.horizons, looks
+    ):
         colour, marker = looks[forecaster]
-        axes.plot(places, [100 * c.coverage_output for c in cards_of_forecaster], marker, color=colour, ms=6)
+        axes.plot(
+            places,
+            [100 * c.coverage_output for c in cards_of_forecaster],
+            marker,
+            color=colour,
+            ms=6,
+        )
         axes.plot(
             places,
             [100 * c.coverage_input for c in cards_of_forecaster],
@@ -215,7 +300,9 @@ def _draw_coverage(
     axes.axhline(100 * backtest.confidence, color=MODEL, lw=1, ls="--")
     words = signal_names(backtest.plant)
     of_both = f"Coverage of the band: {words.output} filled, {words.input} hollow"
-    axes.set_title(f"Coverage of the band: {words.output}" if backtest.driven else of_both)
+    axes.set_title(
+        f"Coverage of the band: {words.output}" if backtest.driven else of_both
+    )
     axes.set_ylim(min(50.0, axes.get_ylim()[0]), 102.0)
     axes.set_ylabel("samples within the band / %")
     _name_horizons(axes, backtest.horizons)
@@ -226,7 +313,9 @@ def _name_horizons(axes: Axes, horizons: Sequence[float]) -> None:
     axes.grid(visible=False, axis="x")
 
 
-def _draw_forecast(axes: Sequence[Axes], forecast: Forecast, backtest: Backtest, *, first: bool) -> None:
+def _draw_forecast(
+    axes: Sequence[Axes], forecast: Forecast, backtest: Backtest, *, first: bool
+) -> None:
     """Draw a forecast of the leader, mean and band, and the output's error within the band."""
     output, error_axes, control = axes
     hidden = "" if first else "_"
@@ -234,12 +323,16 @@ def _draw_forecast(axes: Sequence[Axes], forecast: Forecast, backtest: Backtest,
     shown = ((output, forecast.output), (control, forecast.input))
     for signal_axes, band in shown if forecast.closed else shown[:1]:
         _fill(signal_axes, time, band, label=f"{hidden}band")
-        signal_axes.plot(time, band.mean, color=CLOSED, lw=0.9, label=f"{hidden}leader's forecast")
+        signal_axes.plot(
+            time, band.mean, color=CLOSED, lw=0.9, label=f"{hidden}leader's forecast"
+        )
     band = forecast.output
     _fill(error_axes, time, band, around=band.mean)
     for window in backtest.came:
         if window.first <= forecast.sample <= window.last - time.size:
-            measured = window.part(forecast.sample + 1, forecast.sample + time.size).output
+            measured = window.part(
+                forecast.sample + 1, forecast.sample + time.size
+            ).output
             error_axes.plot(time, measured - band.mean, color=PLANT, lw=0.8)
 
 
@@ -248,7 +341,9 @@ def _dress(axes: Sequence[Axes], backtest: Backtest) -> None:
     output, error_axes, control = axes
     words = signal_names(backtest.plant)
     if backtest.shown:
-        begin, last = (f.sample * backtest.period for f in (backtest.shown[0], backtest.shown[-1]))
+        begin, last = (
+            f.sample * backtest.period for f in (backtest.shown[0], backtest.shown[-1])
+        )
         reach = float(backtest.shown[-1].time[-1])
         output.set_xlim(begin - 0.2 * reach, last + 1.1 * reach)
     name = backtest.pictured or backtest.name

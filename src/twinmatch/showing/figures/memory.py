@@ -44,7 +44,9 @@ def draw_memory(report: MemoryReport, plant: type[Plant]) -> Figure:
         empty(figure.add_subplot(), "no session is remembered")
         return figure
     free = lessons[0].free
-    figure = new_figure(max(6.0, min(0.5 * len(lessons) + 3.0, 16.0)), 1.5 * len(free) + 0.8)
+    figure = new_figure(
+        max(6.0, min(0.5 * len(lessons) + 3.0, 16.0)), 1.5 * len(free) + 0.8
+    )
     all_axes = stack(figure, [1.0] * len(free))
     for k, axes in enumerate(all_axes):
         _draw_course(axes, report, k, parameter_format(plant, free[k]))
@@ -56,24 +58,46 @@ def draw_memory(report: MemoryReport, plant: type[Plant]) -> Figure:
     return figure
 
 
-def _draw_course(axes: Axes, report: MemoryReport, k: int, shown: ParameterFormat) -> None:
+def _draw_course(
+    axes: Axes, report: MemoryReport, k: int, shown: ParameterFormat
+) -> None:
     """The k-th free parameter over the sessions, and its changes."""
     lessons = report.lessons
     values = [shown.shown(lesson.parameters[shown.name]) for lesson in lessons]
-    errors = [_NINETY * shown.factor * float(lesson.deviations[k]) for lesson in lessons]
-    axes.errorbar(np.arange(len(lessons)), values, yerr=errors, fmt="o", ms=4, capsize=3, color=PLANT)
+    errors = [
+        _NINETY * shown.factor * float(lesson.deviations[k]) for lesson in lessons
+    ]
+    axes.errorbar(
+        np.arange(len(lessons)),
+        values,
+        yerr=errors,
+        fmt="o",
+        ms=4,
+        capsize=3,
+        color=PLANT,
+    )
     axes.set_ylabel(shown.label)
     names = [lesson.name for lesson in lessons]
     for change in report.changes:
         if change.name == shown.name:
-            _mark(axes, change, [shown.shown(change.old), shown.shown(change.new)], names)
+            _mark(
+                axes, change, [shown.shown(change.old), shown.shown(change.new)], names
+            )
 
 
-def _mark(axes: Axes, change: ParameterChange, levels: list[float], names: list[str]) -> None:
+def _mark(
+    axes: Axes, change: ParameterChange, levels: list[float], names: list[str]
+) -> None:
     """Draw a change between two levels, and say it."""
     places = np.arange(len(names))
     step = change.kind == "step"
     trend = np.linspace(levels[0], levels[1], len(names))
-    line = np.where(places >= names.index(change.since), levels[1], levels[0]) if step else trend
-    axes.plot(places, line, color=MODEL, lw=1.5, drawstyle="steps-mid" if step else "default")
+    line = (
+        np.where(places >= names.index(change.since), levels[1], levels[0])
+        if step
+        else trend
+    )
+    axes.plot(
+        places, line, color=MODEL, lw=1.5, drawstyle="steps-mid" if step else "default"
+    )
     axes.set_title(fill(change.sentence, _NAMES.title), fontsize=8)

@@ -30,7 +30,15 @@ from twinmatch.showing.figures.drawing import (
 from twinmatch.showing.figures.family import draw_gains, fill_matrix
 from twinmatch.showing.quantities import outputs_unit, signal_names
 from twinmatch.showing.series import Comparison, compare, rolling_rms
-from twinmatch.showing.style import CLOSED, DRIVEN, LEVELS, MODEL, PLANT, SET_POINT, TEXT
+from twinmatch.showing.style import (
+    CLOSED,
+    DRIVEN,
+    LEVELS,
+    MODEL,
+    PLANT,
+    SET_POINT,
+    TEXT,
+)
 from twinmatch.showing.verdicts import admitted, last_verdict
 from twinmatch.signals import FloatArray, Sample, Window, point_text, stretches
 from twinmatch.twin import MatchReport, TwinSettings
@@ -67,7 +75,13 @@ def draw_session(
     figure, stacks = columns(10, 1.75 * rows, (3, 2, 1.6, 1.6)[:rows], len(loops))
     windows = stretches(samples, settings.period)
     for k, (axes, loop) in enumerate(zip(stacks, loops, strict=True)):
-        _draw_loop(axes, loop, [w.alone(k) for w in windows], [p.alone(k) for p in parts], closed=closed)
+        _draw_loop(
+            axes,
+            loop,
+            [w.alone(k) for w in windows],
+            [p.alone(k) for p in parts],
+            closed=closed,
+        )
         time_axis(axes[-1], settings.period, samples[0].index, samples[-1].index)
     return figure
 
@@ -99,7 +113,10 @@ def _draw_loop(
         _draw_residuals(axes[2:], part, first=number == 0)
     name_signals(axes, signal_names(plant), "plant − twin")
     if parts:
-        _limit(axes[2], [p.closed_residual_y for p in parts] + [p.driven_residual_y for p in parts])
+        _limit(
+            axes[2],
+            [p.closed_residual_y for p in parts] + [p.driven_residual_y for p in parts],
+        )
     if parts and closed:
         _limit(axes[3], [p.closed_residual_u for p in parts])
     for signal_axes in axes:
@@ -131,14 +148,37 @@ def _draw_residuals(axes: Sequence[Axes], part: Comparison, *, first: bool) -> N
     """Residuals of the output and, in closed loop, of the input, with their band."""
     driven = "driven twin" if first else "_"
     if part.closed is None:
-        _draw_banded(axes[0], part.received, part.driven_residual_y, DRIVEN, driven if first else "")
+        _draw_banded(
+            axes[0],
+            part.received,
+            part.driven_residual_y,
+            DRIVEN,
+            driven if first else "",
+        )
         return
-    for signal_axes, residual in zip(axes, (part.closed_residual_y, part.closed_residual_u), strict=True):
-        _draw_banded(signal_axes, part.received, residual, CLOSED, "closed-loop twin" if first else "")
-    axes[0].plot(part.received, part.driven_residual_y, color=DRIVEN, lw=0.9, ls=":", label=driven)
+    for signal_axes, residual in zip(
+        axes, (part.closed_residual_y, part.closed_residual_u), strict=True
+    ):
+        _draw_banded(
+            signal_axes,
+            part.received,
+            residual,
+            CLOSED,
+            "closed-loop twin" if first else "",
+        )
+    axes[0].plot(
+        part.received,
+        part.driven_residual_y,
+        color=DRIVEN,
+        lw=0.9,
+        ls=":",
+        label=driven,
+    )
 
 
-def _draw_banded(axes: Axes, time: FloatArray, residual: FloatArray, colour: str, name: str) -> None:
+def _draw_banded(
+    axes: Axes, time: FloatArray, residual: FloatArray, colour: str, name: str
+) -> None:
     """A residual and its rolling band, with a legend entry if it has a name."""
     band = f"±2 RMS over {BAND} samples" if name else "_"
     width = 2 * rolling_rms(residual, BAND)
@@ -147,7 +187,12 @@ def _draw_banded(axes: Axes, time: FloatArray, residual: FloatArray, colour: str
     axes.axhline(0, color=SET_POINT, lw=0.6)
 
 
-_HEIGHTS = {TrustLevel.UNKNOWN: 0, TrustLevel.TRUSTED: 1, TrustLevel.DOUBTFUL: 2, TrustLevel.FAULT: 3}
+_HEIGHTS = {
+    TrustLevel.UNKNOWN: 0,
+    TrustLevel.TRUSTED: 1,
+    TrustLevel.DOUBTFUL: 2,
+    TrustLevel.FAULT: 3,
+}
 _DRAWN = 1.6
 """A limit is drawn if it is at most this factor above the top of the axis."""
 
@@ -169,26 +214,34 @@ def draw_health(
     for signal_axes, (name, misses) in zip(axes[1:-1], misses_of.items(), strict=True):
         _draw_misses(signal_axes, misses, period, settings.limits.doubtful)
         signal_axes.set_ylabel(f"{name}\nmiss / half band")
-    _draw_matches(axes[-1], matches, admitted(verdicts), period, outputs_unit(settings.plant))
+    _draw_matches(
+        axes[-1], matches, admitted(verdicts), period, outputs_unit(settings.plant)
+    )
     time_axis(axes[-1], period, first, samples[-1].index)
     figure.align_ylabels(axes)
     return figure
 
 
-def _draw_levels(axes: Axes, verdicts: Sequence[Verdict], period: float, first: int = 0) -> None:
+def _draw_levels(
+    axes: Axes, verdicts: Sequence[Verdict], period: float, first: int = 0
+) -> None:
     """The trust level as a band, shown by height as well as colour."""
     for stretch in Tally(verdicts, first).stretches:
         begin = stretch.first * period
         end = (stretch.last + 1) * period
         height = _HEIGHTS[stretch.level]
-        axes.fill_between([begin, end], -0.5, height + 0.5, color=LEVELS[stretch.level], lw=0)
+        axes.fill_between(
+            [begin, end], -0.5, height + 0.5, color=LEVELS[stretch.level], lw=0
+        )
     axes.set_ylim(-0.5, 3.5)
     axes.set_yticks(list(_HEIGHTS.values()), [level.value for level in _HEIGHTS])
     axes.grid(visible=False)
     axes.set_ylabel("trust")
 
 
-def _misses(verdicts: Sequence[Verdict], plant: type[Plant], *, closed: bool) -> dict[str, dict[int, float]]:
+def _misses(
+    verdicts: Sequence[Verdict], plant: type[Plant], *, closed: bool
+) -> dict[str, dict[int, float]]:
     """The misses of each signal by sample; of several signals those of inputs only if they were forecast."""
     if plant.single:
         y, u = signal_names(plant)
@@ -206,26 +259,49 @@ def _misses(verdicts: Sequence[Verdict], plant: type[Plant], *, closed: bool) ->
     return {plant.called(name): miss_at for name, miss_at in misses.items()}
 
 
-def _draw_misses(axes: Axes, misses: Mapping[int, float], period: float, limit: float) -> None:
-    miss_at = {sample * period: miss for sample, miss in misses.items() if not math.isnan(miss)}
+def _draw_misses(
+    axes: Axes, misses: Mapping[int, float], period: float, limit: float
+) -> None:
+    miss_at = {
+        sample * period: miss for sample, miss in misses.items() if not math.isnan(miss)
+    }
     if not miss_at:
         empty(axes, "no residual: there is no candidate")
         return
-    axes.plot(list(miss_at), list(miss_at.values()), color=PLANT, marker=".", ms=4, lw=1)
-    top = 1.15 * max(miss_at.values()) or 1.0  # a command at its limit is missed by nothing
+    axes.plot(
+        list(miss_at), list(miss_at.values()), color=PLANT, marker=".", ms=4, lw=1
+    )
+    # a command at its limit is missed by nothing
+    top = 1.15 * max(miss_at.values()) or 1.0
     if limit <= _DRAWN * top:
         axes.axhline(limit, color=LEVELS[TrustLevel.DOUBTFUL], lw=1.2, ls="--")
-        place: dict[str, Any] = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points"}
-        axes.annotate(f"doubtful from {limit:g}", (0.0, limit), (4, 2), fontsize=8, **place)
+        place: dict[str, Any] = {
+            "xycoords": axes.get_yaxis_transform(),
+            "textcoords": "offset points",
+        }
+        axes.annotate(
+            f"doubtful from {limit:g}", (0.0, limit), (4, 2), fontsize=8, **place
+        )
         top = max(top, 1.2 * limit)
     else:
         note = f"(doubtful from {limit:g}, beyond this axis)"
-        axes.annotate(note, (1.0, 0.97), xycoords="axes fraction", ha="right", va="top", fontsize=8)
+        axes.annotate(
+            note,
+            (1.0, 0.97),
+            xycoords="axes fraction",
+            ha="right",
+            va="top",
+            fontsize=8,
+        )
     axes.set_ylim(0, top)
 
 
 def _draw_matches(
-    axes: Axes, matches: Sequence[MatchReport], admitted_at: Collection[int], period: float, unit: str
+    axes: Axes,
+    matches: Sequence[MatchReport],
+    admitted_at: Collection[int],
+    period: float,
+    unit: str,
 ) -> None:
     admitted_matches = [m for m in matches if m.sample in admitted_at]
     refused_matches = [m for m in matches if m.sample not in admitted_at]
@@ -236,19 +312,33 @@ def _draw_matches(
     axes.set_ylabel(f"matches\n({unit})" if unit else "matches")
 
 
-def _mark_matches(  # noqa: PLR0917 (a mark and its place)
-    axes: Axes, matches: Sequence[MatchReport], period: float, height: float, marker: str, level: TrustLevel
+def _mark_matches(  # noqa: PLR0917
+    axes: Axes,
+    matches: Sequence[MatchReport],
+    period: float,
+    height: float,
+    marker: str,
+    level: TrustLevel,
 ) -> None:
     """Draw a mark for each of these matches at a height, with its operating point above."""
     times = [m.sample * period for m in matches]
-    axes.plot(times, [height] * len(times), marker, color=LEVELS[level], ms=6, mew=1.6, ls="")
-    place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "fontsize": 7, "color": TEXT}
+    axes.plot(
+        times, [height] * len(times), marker, color=LEVELS[level], ms=6, mew=1.6, ls=""
+    )
+    place: dict[str, Any] = {
+        "textcoords": "offset points",
+        "ha": "center",
+        "fontsize": 7,
+        "color": TEXT,
+    }
     for time, m in zip(times, matches, strict=True):
         axes.annotate(point_text(m.operating_point), (time, height), (0, 5), **place)
 
 
 @styled
-def draw_estimates(courses: Sequence[EstimatedCourse], period: float, samples: int) -> Figure:
+def draw_estimates(
+    courses: Sequence[EstimatedCourse], period: float, samples: int
+) -> Figure:
     """What each sensor read that was not believed, and what it should have, below one another."""
     figure = new_figure(10, 2.4 * len(courses))
     all_axes = figure.subplots(len(courses), squeeze=False)[:, 0]
@@ -258,24 +348,32 @@ def draw_estimates(courses: Sequence[EstimatedCourse], period: float, samples: i
     return figure
 
 
-def draw_estimate(axes: Axes, course: EstimatedCourse, period: float, samples: int) -> None:
+def draw_estimate(
+    axes: Axes, course: EstimatedCourse, period: float, samples: int
+) -> None:
     """What a sensor read, and what it should have."""
     time = np.arange(course.first, course.last + 1) * period
     values = np.array(course.values)
     bands = np.array(course.bands)
     axes.plot(time, course.readings, color=SET_POINT, label="read")
     axes.plot(time, values, color=MODEL, label="should have been read, 90 %")
-    axes.fill_between(time, values - bands, values + bands, color=MODEL, alpha=0.2, lw=0)
+    axes.fill_between(
+        time, values - bands, values + bands, color=MODEL, alpha=0.2, lw=0
+    )
     axes.set_xlim(0.0, samples * period)
     axes.set_ylabel(f"{course.text} / {course.unit}")
     legend_above(axes, 2)
 
 
-def _draw_leader(upper: Axes, control: Axes, parts: Sequence[Comparison], label: str) -> None:
+def _draw_leader(
+    upper: Axes, control: Axes, parts: Sequence[Comparison], label: str
+) -> None:
     """The leader's output and, in closed loop, its input."""
     for number, part in enumerate(parts):
         output = part.driven if part.closed is None else part.closed.output
-        upper.plot(part.time, output, color=CLOSED, lw=1, label=label if number == 0 else "_")
+        upper.plot(
+            part.time, output, color=CLOSED, lw=1, label=label if number == 0 else "_"
+        )
         if part.closed is not None:
             control.plot(part.time, part.closed.input, color=CLOSED, lw=0.8)
 
@@ -308,10 +406,19 @@ def draw_verdict(
     parts = _compared(settled, verdicts, settings)
     windows = stretches(samples, settings.period)
     closed = settings.law is not None
-    for k, (loop, upper, control) in enumerate(zip(loops, uppers, controls, strict=True)):
-        _draw_measured(upper, control, [window.alone(k) for window in windows], closed=closed)
+    for k, (loop, upper, control) in enumerate(
+        zip(loops, uppers, controls, strict=True)
+    ):
+        _draw_measured(
+            upper, control, [window.alone(k) for window in windows], closed=closed
+        )
         if shown is not None:
-            _draw_leader(upper, control, [part.alone(k) for part in parts], f"twin of {shown.name}")
+            _draw_leader(
+                upper,
+                control,
+                [part.alone(k) for part in parts],
+                f"twin of {shown.name}",
+            )
         for axes, signal in zip((upper, control), signal_names(loop), strict=True):
             axes.set_ylabel(signal.label)
             axes.tick_params(labelbottom=False)
@@ -328,7 +435,9 @@ def draw_verdict(
     save(figure, path)
 
 
-def _draw_measured(upper: Axes, control: Axes, windows: Sequence[Window], *, closed: bool) -> None:
+def _draw_measured(
+    upper: Axes, control: Axes, windows: Sequence[Window], *, closed: bool
+) -> None:
     """One output and one input as they were measured."""
     for number, window in enumerate(windows):
         draw_outputs(upper, window, closed=closed, named=number == 0, lw=1.2)
@@ -337,6 +446,8 @@ def _draw_measured(upper: Axes, control: Axes, windows: Sequence[Window], *, clo
 
 def _title(shown: ShownTwin, nominal: CandidateScore | None) -> str:
     """The twin that is drawn, and the nominal candidate."""
-    order = f", order {nominal.chosen_order}" if nominal and nominal.chosen_order else ""
+    order = (
+        f", order {nominal.chosen_order}" if nominal and nominal.chosen_order else ""
+    )
     centre = f"nominal: {nominal.name}{order}" if nominal else "nominal: none"
     return f"Leader: {shown.name}; {centre}"

@@ -24,9 +24,22 @@ from twinmatch.nodes.topics import LATCHED, NEWEST, Following, wanted
 from twinmatch.parameters.declared import Setting
 from twinmatch.sessions import SessionError
 from twinmatch.sessions.messages import schema_of
-from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, OUTSIDE, TOPICS, layout, write_layout
+from twinmatch.showing.foxglove.layout import (
+    APPLIED,
+    IMAGE,
+    OUTSIDE,
+    TOPICS,
+    layout,
+    write_layout,
+)
 from twinmatch.showing.foxglove.relay import Relay, hidden_address
-from twinmatch.showing.serving import Hosts, ServingError, listen, place_settings, warn_if_open
+from twinmatch.showing.serving import (
+    Hosts,
+    ServingError,
+    listen,
+    place_settings,
+    warn_if_open,
+)
 from twinmatch_msgs.msg import PlantDescription
 
 BACKLOG = 1024
@@ -66,7 +79,9 @@ class GraphServer(ServerListener):
     although the next may be minutes away.
     """
 
-    def __init__(self, name: str, address: str, port: int, hosts: Hosts | None = None) -> None:
+    def __init__(
+        self, name: str, address: str, port: int, hosts: Hosts | None = None
+    ) -> None:
         """Serve on this address; port 0 takes any free port.
 
         `hosts` are the names that it answers to; None: those of the address alone.
@@ -74,16 +89,27 @@ class GraphServer(ServerListener):
         Raises:
             ServingError: the address or port cannot be used.
         """
-        set_log_level(logging.ERROR)  # a viewer that disconnects abruptly is not an error here
+        # a viewer that disconnects abruptly is not an error here
+        set_log_level(logging.ERROR)
         self._context = Context()
         self._channels: dict[str, Channel] = {}
         self._last: dict[int, _Last] = {}
         self._viewers: dict[int, set[int]] = {}
         bound, place = listen("foxglove", address, port)
-        inner: dict[str, Any] = {"name": name, "host": hidden_address(), "port": 0, "context": self._context}
-        able: dict[str, Any] = {"capabilities": [Capability.Time], "message_backlog_size": BACKLOG}
+        inner: dict[str, Any] = {
+            "name": name,
+            "host": hidden_address(),
+            "port": 0,
+            "context": self._context,
+        }
+        able: dict[str, Any] = {
+            "capabilities": [Capability.Time],
+            "message_backlog_size": BACKLOG,
+        }
         self._server = start_server(**inner, **able, server_listener=self)
-        self._relay = Relay(bound, hosts or Hosts.of(address), (inner["host"], self._server.port))
+        self._relay = Relay(
+            bound, hosts or Hosts.of(address), (inner["host"], self._server.port)
+        )
         self.url = f"ws://{place}"
         """Address to open in the viewer."""
 
@@ -101,7 +127,9 @@ class GraphServer(ServerListener):
         if topic in self._channels:
             self._channels.pop(topic).close()
         declared = Schema(name=kind, encoding="ros2msg", data=schema.encode())
-        self._channels[topic] = Channel(topic, schema=declared, message_encoding="cdr", context=self._context)
+        self._channels[topic] = Channel(
+            topic, schema=declared, message_encoding="cdr", context=self._context
+        )
 
     def send(self, topic: str, data: bytes, received: int) -> None:
         """Forward a message, CDR with its encapsulation header; `received` is the time of reception, ns."""
@@ -194,7 +222,11 @@ class Foxglove(TwinmatchNode):
     NAME = "foxglove"
     PARAMETERS: ClassVar = (
         *place_settings(8765),
-        Setting("layout", "", "File for the layout of the graph's plant; empty: none is written."),
+        Setting(
+            "layout",
+            "",
+            "File for the layout of the graph's plant; empty: none is written.",
+        ),
     )
 
     _serving = False
@@ -210,15 +242,20 @@ class Foxglove(TwinmatchNode):
         self._types: dict[str, str] = {}
         self._unknown: set[str] = set()
         rig = self.get_namespace().rstrip("/")
-        for name, kind in ({f"{rig}/{name}": kind for name, kind in TOPICS.items()} | OUTSIDE).items():
+        for name, kind in (
+            {f"{rig}/{name}": kind for name, kind in TOPICS.items()} | OUTSIDE
+        ).items():
             self._advertise(name, kind)
-        self._types.clear()  # publishers decide: set-points of several loops have another one
+        # publishers decide: set-points of several loops have another one
+        self._types.clear()
         self._has_clock = self._to_repeat = False
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._described: Description | None = None
         self._laid_out: tuple[Description, frozenset[str]] | None = None
         if self.values["layout"]:
-            self.create_subscription(PlantDescription, "plant/description", self._on_description, LATCHED)
+            self.create_subscription(
+                PlantDescription, "plant/description", self._on_description, LATCHED
+            )
         self.create_subscription(ClockMessage, "/clock", self._on_clock, NEWEST)
         self.create_timer(_TIMES.poll, self._find_topics, clock=steady)
         self.create_timer(_TIMES.tick, self._send_time, clock=steady)
@@ -241,7 +278,9 @@ class Foxglove(TwinmatchNode):
     def _find_topics(self) -> None:
         self._has_clock = self.count_publishers("/clock") > 0
         for name, _ in self.get_topic_names_and_types():
-            if name not in self._unknown and wanted(name, self.get_namespace(), OUTSIDE, LEFT_OUT):
+            if name not in self._unknown and wanted(
+                name, self.get_namespace(), OUTSIDE, LEFT_OUT
+            ):
                 self._subscribe(name)
         self._lay_out()
 
@@ -253,7 +292,9 @@ class Foxglove(TwinmatchNode):
         if self._described is None:
             return
         rig = self.get_namespace().rstrip("/")
-        present = frozenset(topic for topic in (APPLIED, IMAGE) if f"{rig}/{topic}" in self._following)
+        present = frozenset(
+            topic for topic in (APPLIED, IMAGE) if f"{rig}/{topic}" in self._following
+        )
         if self._laid_out == (self._described, present):
             return
         self._laid_out = self._described, present
@@ -270,7 +311,9 @@ class Foxglove(TwinmatchNode):
         if publishers:
             kind = publishers[0].topic_type
             if name in self._following or self._advertise(name, kind):
-                self._following.subscribe(name, kind, publishers, partial(self._on_message, name))
+                self._following.subscribe(
+                    name, kind, publishers, partial(self._on_message, name)
+                )
         elif publishers is not None:
             self._server.forget(name)
 
@@ -279,7 +322,9 @@ class Foxglove(TwinmatchNode):
         before = self._types.setdefault(name, kind)
         try:
             if before != kind:
-                raise SessionError(f"its type changed from {before} to {kind}; restart twinmatch foxglove")
+                raise SessionError(
+                    f"its type changed from {before} to {kind}; restart twinmatch foxglove"
+                )
             if not self._server.offers(name, kind):
                 self._server.advertise(name, kind, schema_of(kind))
         except SessionError as error:
@@ -294,7 +339,9 @@ class Foxglove(TwinmatchNode):
 
     def _on_message(self, name: str, data: bytes) -> None:
         if name.endswith("plant/sample"):
-            self._reset_if(self._time.on_sample(time.monotonic(), clock=self._has_clock))
+            self._reset_if(
+                self._time.on_sample(time.monotonic(), clock=self._has_clock)
+            )
         self._server.send(name, data, self._time.now)
 
     def _reset_if(self, changed: bool) -> None:

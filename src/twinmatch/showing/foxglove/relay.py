@@ -43,7 +43,9 @@ def hidden_address() -> str:
 class Relay:
     """Reads the request of each connection, answers 403 or passes it and all that follows on, in a thread."""
 
-    def __init__(self, bound: socket.socket, hosts: Hosts, inner: tuple[str, int]) -> None:
+    def __init__(
+        self, bound: socket.socket, hosts: Hosts, inner: tuple[str, int]
+    ) -> None:
         """Take the connections of a listening socket, and let those of `hosts` reach the server `inner`."""
         self._bound = bound
         self._hosts = hosts
@@ -70,7 +72,9 @@ class Relay:
         self._loop.close()
 
     async def _serve(self) -> None:
-        server = await asyncio.start_server(self._accept, sock=self._bound, limit=REQUEST)
+        server = await asyncio.start_server(
+            self._accept, sock=self._bound, limit=REQUEST
+        )
         await self._over.wait()
         server.close()
         if self._open:
@@ -79,7 +83,9 @@ class Relay:
                 task.cancel()
             await asyncio.gather(*late, return_exceptions=True)
 
-    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def _accept(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         if len(self._open) >= _CONNECTIONS.most:
             writer.close()
             return
@@ -87,9 +93,13 @@ class Relay:
         self._open.add(task)
         task.add_done_callback(self._open.discard)
 
-    async def _take(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _take(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         try:
-            request = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _CONNECTIONS.patience)
+            request = await asyncio.wait_for(
+                reader.readuntil(b"\r\n\r\n"), _CONNECTIONS.patience
+            )
             why = self._refusal(request)
             if why:
                 await _refuse(writer, why)
@@ -104,7 +114,10 @@ class Relay:
         self, request: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
         from_server, to_server = await asyncio.open_connection(*self._inner)
-        ways = [self._loop.create_task(_copy(*way)) for way in ((reader, to_server), (from_server, writer))]
+        ways = [
+            self._loop.create_task(_copy(*way))
+            for way in ((reader, to_server), (from_server, writer))
+        ]
         try:
             to_server.write(request)
             await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
@@ -119,8 +132,14 @@ class Relay:
         for line in request.decode("latin-1").split("\r\n")[1:]:
             name, _, value = line.partition(":")
             name = name.strip().lower()
-            headers[name] = f"{headers[name]}, {value.strip()}" if name in headers else value.strip()
-        why = self._hosts.refusal(headers.get("host"), headers.get("origin"), beside=True)
+            headers[name] = (
+                f"{headers[name]}, {value.strip()}"
+                if name in headers
+                else value.strip()
+            )
+        why = self._hosts.refusal(
+            headers.get("host"), headers.get("origin"), beside=True
+        )
         if why and why not in self._told and len(self._told) < MAX_TOLD:
             self._told.add(why)
             print(f"foxglove: refused: {why}", flush=True)

@@ -7,7 +7,15 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from bokeh.models import ColumnDataSource, CustomJS, DataRange1d, FactorRange, HoverTool, Legend, LegendItem
+from bokeh.models import (
+    ColumnDataSource,
+    CustomJS,
+    DataRange1d,
+    FactorRange,
+    HoverTool,
+    Legend,
+    LegendItem,
+)
 from bokeh.plotting import figure
 
 from twinmatch.description import Description, Loop, Quantity, nth
@@ -44,14 +52,20 @@ TRUST = "trust"
 """The row of the time line with the trust level."""
 LANES = {
     **dict.fromkeys((EventKind.LEADER, EventKind.NOMINAL, EventKind.LEVEL), TRUST),
-    **dict.fromkeys((EventKind.ADMITTED, EventKind.REFUSED, EventKind.DISMISSED), "matches"),
+    **dict.fromkeys(
+        (EventKind.ADMITTED, EventKind.REFUSED, EventKind.DISMISSED), "matches"
+    ),
     EventKind.FAULT: "faults",
     EventKind.NODE: "nodes",
 }
 """The row of the time line of each kind of event."""
 FORECAST_COLUMNS = (
     *("t", "reference"),
-    *(f"{signal}{edge}" for signal in ("output", "input") for edge in ("", "_low", "_high")),
+    *(
+        f"{signal}{edge}"
+        for signal in ("output", "input")
+        for edge in ("", "_low", "_high")
+    ),
 )
 """Columns of a forecast of one loop."""
 
@@ -74,7 +88,8 @@ class ChartFeed:
         names = list(self._columns(table.since(0)[0], 1.0))
         self.source = ColumnDataSource({"t": [], **{name: [] for name in names}})
         self._row = 0  # of the table, from which on nothing has been sent
-        self._shown: tuple[int, float, int] | None = None  # epoch, period and span of what was sent
+        # epoch, period and span of what was sent
+        self._shown: tuple[int, float, int] | None = None
 
     def update(self, period: float, span: int) -> None:
         """Send the samples that are new since the last call.
@@ -97,7 +112,9 @@ class ChartFeed:
         elif columns["t"].size:
             self.source.stream(columns, rollover=points)
 
-    def _columns(self, drawn: dict[str, FloatArray], period: float) -> dict[str, FloatArray]:
+    def _columns(
+        self, drawn: dict[str, FloatArray], period: float
+    ) -> dict[str, FloatArray]:
         columns = {"t": drawn.pop("index") * period, **drawn}
         if self._derive is not None:
             columns |= self._derive(columns)
@@ -119,25 +136,46 @@ class ForecastBands:
         self._what_if = ColumnDataSource({name: [] for name in FORECAST_COLUMNS})
         self.lines = []
         """The mean line of each forecast; the time axis covers them."""
-        for source, colour, name in ((self._forecast, CLOSED, "forecast"), (self._what_if, MODEL, "what if")):
+        for source, colour, name in (
+            (self._forecast, CLOSED, "forecast"),
+            (self._what_if, MODEL, "what if"),
+        ):
             of_output = _draw_band(output, "output", source, colour)
             of_input = _draw_band(control, "input", source, colour)
             set_point = _step(output, "reference", source, colour, width=1, dash=[2, 3])
             if source is self._forecast or asks:
-                for chart, parts in ((output, [*of_output, set_point]), (control, of_input)):
-                    chart.legend[0].items.append(LegendItem(label=name, renderers=parts))
+                for chart, parts in (
+                    (output, [*of_output, set_point]),
+                    (control, of_input),
+                ):
+                    chart.legend[0].items.append(
+                        LegendItem(label=name, renderers=parts)
+                    )
             self.lines.append(of_output[-1])
 
-    def update(self, forecast: Forecast | None, what_if: Forecast | None, period: float, most: float) -> None:
+    def update(
+        self,
+        forecast: Forecast | None,
+        what_if: Forecast | None,
+        period: float,
+        most: float,
+    ) -> None:
         """Draw both, at most `most` seconds ahead; `period` is the sampling period, s."""
         self._forecast.data = _columns(forecast, period, most)
         self._what_if.data = _columns(what_if, period, most)
 
 
-def _draw_band(chart: Any, signal: str, source: ColumnDataSource, colour: str) -> list[Any]:
+def _draw_band(
+    chart: Any, signal: str, source: ColumnDataSource, colour: str
+) -> list[Any]:
     """Band and mean of one signal."""
     band = chart.varea(
-        "t", f"{signal}_low", f"{signal}_high", source=source, fill_color=colour, fill_alpha=0.18
+        "t",
+        f"{signal}_low",
+        f"{signal}_high",
+        source=source,
+        fill_color=colour,
+        fill_alpha=0.18,
     )
     mean = chart.line("t", signal, source=source, color=colour, line_width=1.6)
     mean.glyph.line_dash = [5, 2]
@@ -149,9 +187,16 @@ def _columns(forecast: Forecast | None, period: float, most: float) -> dict[str,
     if forecast is None:
         return {name: [] for name in FORECAST_COLUMNS}
     is_drawn = forecast.time <= most * (1 + 1e-9)
-    bands = [b for band in (forecast.output, forecast.input) for b in (band.mean, band.low, band.high)]
+    bands = [
+        b
+        for band in (forecast.output, forecast.input)
+        for b in (band.mean, band.low, band.high)
+    ]
     columns = (forecast.sample * period + forecast.time, forecast.reference, *bands)
-    return {name: values[is_drawn] for name, values in zip(FORECAST_COLUMNS, columns, strict=True)}
+    return {
+        name: values[is_drawn]
+        for name, values in zip(FORECAST_COLUMNS, columns, strict=True)
+    }
 
 
 _FEWER_TICKS = """
@@ -233,7 +278,9 @@ class LoopCharts:
         self.control_residual = self._draw_control_residual()
         self.figures = [self.output, self.control, self.residual, self.control_residual]
         for chart in self.figures:
-            wrap = CustomJS(args={"chart": chart, "legend": chart.legend[0]}, code=_WRAP_LEGEND)
+            wrap = CustomJS(
+                args={"chart": chart, "legend": chart.legend[0]}, code=_WRAP_LEGEND
+            )
             chart.js_on_change("inner_width", wrap)
 
     def _of(self, column: str) -> str:
@@ -249,10 +296,23 @@ class LoopCharts:
     def _draw_output(self) -> Any:
         chart = self._figure("output", 320, self._output_signal.label)
         column = self._of
-        self.line = chart.line("t", column("output"), source=self._plant, color=PLANT, line_width=2)
-        closed = chart.line("t", column("closed_output"), source=self._twin, color=CLOSED, line_width=1.6)
-        set_point = _step(chart, column("reference"), self._plant, SET_POINT, width=1.4, dash=[6, 4])
-        _legend(chart, {"plant": self.line, "closed-loop twin": closed, "set-point": set_point})
+        self.line = chart.line(
+            "t", column("output"), source=self._plant, color=PLANT, line_width=2
+        )
+        closed = chart.line(
+            "t",
+            column("closed_output"),
+            source=self._twin,
+            color=CLOSED,
+            line_width=1.6,
+        )
+        set_point = _step(
+            chart, column("reference"), self._plant, SET_POINT, width=1.4, dash=[6, 4]
+        )
+        _legend(
+            chart,
+            {"plant": self.line, "closed-loop twin": closed, "set-point": set_point},
+        )
         _hover_value(chart, self.line, "plant", column("output"), self._output_signal)
         return chart
 
@@ -266,45 +326,72 @@ class LoopCharts:
         return chart
 
     def _draw_residual(self) -> Any:
-        chart, band = self._banded("residual", self._output_signal, "driven_rms_y", DRIVEN, 0.18)
+        chart, band = self._banded(
+            "residual", self._output_signal, "driven_rms_y", DRIVEN, 0.18
+        )
         column = self._of("driven_residual_y")
-        driven = chart.line("t", column, source=self._twin, color=DRIVEN, line_width=1.4)
+        driven = chart.line(
+            "t", column, source=self._twin, color=DRIVEN, line_width=1.4
+        )
         of_closed = self._of("closed_residual_y")
-        closed = chart.line("t", of_closed, source=self._twin, color=CLOSED, line_width=1.1)
-        _legend(chart, {"driven twin": driven, f"± {BAND:g} RMS": band, "closed-loop twin": closed})
+        closed = chart.line(
+            "t", of_closed, source=self._twin, color=CLOSED, line_width=1.1
+        )
+        _legend(
+            chart,
+            {
+                "driven twin": driven,
+                f"± {BAND:g} RMS": band,
+                "closed-loop twin": closed,
+            },
+        )
         _hover_value(chart, driven, "plant − driven twin", column, self._output_signal)
         return chart
 
     def _draw_control_residual(self) -> Any:
-        chart, band = self._banded("control_residual", self._input_signal, "closed_rms_u", CLOSED, 0.15)
+        chart, band = self._banded(
+            "control_residual", self._input_signal, "closed_rms_u", CLOSED, 0.15
+        )
         column = self._of("closed_residual_u")
         line = chart.line("t", column, source=self._twin, color=CLOSED, line_width=1.2)
         _legend(chart, {"closed-loop twin": line, f"± {BAND:g} RMS": band})
         _hover_value(chart, line, "residual", column, self._input_signal)
         return chart
 
-    def _banded(self, name: str, signal: Quantity, rms: str, colour: str, alpha: float) -> tuple[Any, Any]:
+    def _banded(
+        self, name: str, signal: Quantity, rms: str, colour: str, alpha: float
+    ) -> tuple[Any, Any]:
         """A chart of residuals with their band."""
         chart = self._figure(name, 180, with_unit("plant − twin", signal.unit))
         rms = self._of(rms)
         filling: dict[str, Any] = {"fill_color": colour, "fill_alpha": alpha}
-        return chart, chart.varea("t", f"{rms}_low", f"{rms}_high", source=self._twin, **filling)
+        return chart, chart.varea(
+            "t", f"{rms}_low", f"{rms}_high", source=self._twin, **filling
+        )
 
 
 class TimeCharts:
     """The figures of one tab; they pan and zoom together in time."""
 
-    def __init__(self, plant: ColumnDataSource, twin: ColumnDataSource, described: Description) -> None:
+    def __init__(
+        self, plant: ColumnDataSource, twin: ColumnDataSource, described: Description
+    ) -> None:
         """Draw these two sources; `described` names their signals."""
         self.time = DataRange1d(follow="end", range_padding=0, min_interval=2.0)
         self._loops = [
-            LoopCharts(self.time, (plant, twin), loop, k, beside=len(described.loops) > 1)
+            LoopCharts(
+                self.time, (plant, twin), loop, k, beside=len(described.loops) > 1
+            )
             for k, loop in enumerate(described.loops)
         ]
         self.time.renderers = [
-            line for loop_charts in self._loops for line in (loop_charts.line, *loop_charts.forecasts.lines)
+            line
+            for loop_charts in self._loops
+            for line in (loop_charts.line, *loop_charts.forecasts.lines)
         ]
-        self._stretches = ColumnDataSource({"left": [], "right": [], "lane": [], "colour": [], "level": []})
+        self._stretches = ColumnDataSource(
+            {"left": [], "right": [], "lane": [], "colour": [], "level": []}
+        )
         names = ("t", "lane", "colour", "shape", "title", "text")
         self._events = ColumnDataSource({name: [] for name in names})
         self.happened = self._draw_happened()
@@ -318,7 +405,10 @@ class TimeCharts:
     @property
     def figures(self) -> list[Any]:
         """All of them, top to bottom."""
-        return [*(chart for loop_charts in self._loops for chart in loop_charts.figures), self.happened]
+        return [
+            *(chart for loop_charts in self._loops for chart in loop_charts.figures),
+            self.happened,
+        ]
 
     def show(self, *, measured: bool, mirrored: bool) -> None:
         """Show the charts that have data; Bokeh computes no range for an empty chart."""
@@ -328,13 +418,19 @@ class TimeCharts:
                 chart.visible = wanted
 
     def draw_forecasts(
-        self, forecast: Forecast | None, what_if: Forecast | None, period: float, most: float
+        self,
+        forecast: Forecast | None,
+        what_if: Forecast | None,
+        period: float,
+        most: float,
     ) -> None:
         """Draw both, at most `most` seconds ahead; `period` is the sampling period, s."""
         for k, loop_charts in enumerate(self._loops):
             forecast_of_loop = forecast and forecast.alone(k)
             what_if_of_loop = what_if and what_if.alone(k)
-            loop_charts.forecasts.update(forecast_of_loop, what_if_of_loop, period, most)
+            loop_charts.forecasts.update(
+                forecast_of_loop, what_if_of_loop, period, most
+            )
 
     @property
     def fit_to_narrow(self) -> CustomJS:
@@ -352,7 +448,9 @@ class TimeCharts:
         """Show the newest `seconds`."""
         self.time.follow_interval = seconds
 
-    def draw_events(self, stretches: Iterable[LevelStretch], events: Iterable[Event], period: float) -> None:
+    def draw_events(
+        self, stretches: Iterable[LevelStretch], events: Iterable[Event], period: float
+    ) -> None:
         """Draw the trust level over time, and the events of this session."""
         shown = list(stretches)
         self._stretches.data = {
@@ -380,21 +478,44 @@ class TimeCharts:
         _show_times(chart)
         chart.ygrid.grid_line_color = None
         strip: dict[str, Any] = {"left": "left", "right": "right", "line_color": None}
-        strips = chart.hbar("lane", 0.6, source=self._stretches, fill_color="colour", **strip)
-        mark: dict[str, Any] = {"marker": "shape", "size": 12, "line_width": 2.5, "fill_alpha": 0.85}
+        strips = chart.hbar(
+            "lane", 0.6, source=self._stretches, fill_color="colour", **strip
+        )
+        mark: dict[str, Any] = {
+            "marker": "shape",
+            "size": 12,
+            "line_width": 2.5,
+            "fill_alpha": 0.85,
+        }
         marks = chart.scatter("t", "lane", source=self._events, color="colour", **mark)
-        _hover(chart, strips, [("trust", "@level"), ("from", "@left{0} s"), ("to", "@right{0} s")])
+        _hover(
+            chart,
+            strips,
+            [("trust", "@level"), ("from", "@left{0} s"), ("to", "@right{0} s")],
+        )
         _hover(chart, marks, [("at", "@t{0} s"), ("what", "@title"), ("why", "@text")])
         return chart
 
 
-def _figure(name: str, height: int, label: str, time: DataRange1d, **options: Any) -> Any:
-    options |= {"x_range": time, "y_axis_label": label, "tools": TOOLS, "lod_threshold": None}
-    options |= {"active_drag": None, "active_scroll": None, "sizing_mode": "stretch_width"}
+def _figure(
+    name: str, height: int, label: str, time: DataRange1d, **options: Any
+) -> Any:
+    options |= {
+        "x_range": time,
+        "y_axis_label": label,
+        "tools": TOOLS,
+        "lod_threshold": None,
+    }
+    options |= {
+        "active_drag": None,
+        "active_scroll": None,
+        "sizing_mode": "stretch_width",
+    }
     chart = figure(name=name, height=height, **options)
     chart.toolbar.logo = None
     chart.toolbar.autohide = True
-    chart.xaxis.major_label_text_font_size = "0px"  # of a column only the lowest shows the times
+    # of a column only the lowest shows the times
+    chart.xaxis.major_label_text_font_size = "0px"
     return chart
 
 
@@ -404,24 +525,36 @@ def _show_times(chart: Any) -> None:
 
 
 def _step(
-    chart: Any, column: str, source: ColumnDataSource, colour: str, *, width: float, dash: Sequence[int] = ()
+    chart: Any,
+    column: str,
+    source: ColumnDataSource,
+    colour: str,
+    *,
+    width: float,
+    dash: Sequence[int] = (),
 ) -> Any:
     """A line that holds each value until the next."""
-    line = chart.step("t", column, source=source, mode="after", color=colour, line_width=width)
+    line = chart.step(
+        "t", column, source=source, mode="after", color=colour, line_width=width
+    )
     line.glyph.line_dash = list(dash)
     return line
 
 
 def _legend(chart: Any, names: Mapping[str, Any]) -> None:
     items = [(name, [renderer]) for name, renderer in names.items()]
-    chart.add_layout(Legend(items=items, orientation="horizontal", click_policy="hide"), "above")
+    chart.add_layout(
+        Legend(items=items, orientation="horizontal", click_policy="hide"), "above"
+    )
 
 
 def _hover(chart: Any, renderer: Any, rows: list[tuple[str, str]]) -> None:
     chart.add_tools(HoverTool(renderers=[renderer], tooltips=rows, visible=False))
 
 
-def _hover_value(chart: Any, renderer: Any, name: str, column: str, quantity: Quantity) -> None:
+def _hover_value(
+    chart: Any, renderer: Any, name: str, column: str, quantity: Quantity
+) -> None:
     """A tooltip with time and value of a line."""
     value = f"@{column}{{0.{'0' * quantity.decimals}}} {quantity.unit}".rstrip()
     _hover(chart, renderer, [("time", "@t{0.0} s"), (name, value)])

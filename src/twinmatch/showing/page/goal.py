@@ -33,9 +33,12 @@ class Goal:
         if not math.isfinite(self.level):
             raise ClockTimeError(f"--reach is {self.level:g}; give a finite level")
         if self.by.startswith("+"):
-            raise ClockTimeError(f"--by {self.by}: on a running plant give a time of day, HH:MM")
+            raise ClockTimeError(
+                f"--by {self.by}: on a running plant give a time of day, HH:MM"
+            )
         if self.by:
-            seconds_until(self.by, 10**18)  # any sample with a date: the text has to be a time
+            # any sample with a date: the text has to be a time
+            seconds_until(self.by, 10**18)
 
     def moves(self, plant: type[Plant], *, closed: bool) -> tuple[float, ...]:
         """Set-points or, where the loop is not known, inputs that may lead there."""
@@ -59,7 +62,9 @@ def number_in(text: str, what: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise ClockTimeError(f"{what}: {text[:80]!r} is not a number; give a level") from None
+        raise ClockTimeError(
+            f"{what}: {text[:80]!r} is not a number; give a level"
+        ) from None
 
 
 class GoalAnswer(NamedTuple):
@@ -96,7 +101,9 @@ class GoalAnswer(NamedTuple):
         if not math.isnan(self.begin):
             clock = clock_words(self.stamp, self.begin)
             at = f", at {clock}" if clock else ""
-            lines.append(f"to be there by {self.goal.by}: begin in {self.begin:.0f} s{at}")
+            lines.append(
+                f"to be there by {self.goal.by}: begin in {self.begin:.0f} s{at}"
+            )
         return tuple(lines)
 
 
@@ -109,7 +116,9 @@ def moment_words(moment: Moment) -> str:
     return f"in {moment.expected:.0f} s ({earliest:.0f} to {latest})"
 
 
-def soonest(goal: Goal, held: Moment, moved: Mapping[float, Moment], stamp: int) -> GoalAnswer:
+def soonest(
+    goal: Goal, held: Moment, moved: Mapping[float, Moment], stamp: int
+) -> GoalAnswer:
     """The answer with the move that arrives first; with the last one if none does."""
 
     def delay(move: float) -> float:
@@ -131,5 +140,9 @@ def answer_of(goal: Goal, outlook: Outlook) -> GoalAnswer:
     moved = {}
     for move in goal.moves(plant, closed=outlook.closed):
         standing = one_of_each("level", outlook.standing)
-        moved[move] = held if move == standing else what_if(outlook, goal.moved(move, outlook.period)).reached
+        moved[move] = (
+            held
+            if move == standing
+            else what_if(outlook, goal.moved(move, outlook.period)).reached
+        )
     return soonest(goal, held, moved, outlook.sample.stamp)

@@ -74,7 +74,9 @@ class NodeReports:
     _errors: dict[str, str] = field(default_factory=dict)
     """The error each node reports now, without its figures."""
 
-    def push(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> str | None:
+    def push(
+        self, name: str, level: int, message: str, values: Mapping[str, str], now: float
+    ) -> str | None:
         """Take a report; returns `error` or `recovered` if the node's state changed, else None.
 
         An error in which only figures change is the same error.
@@ -84,8 +86,14 @@ class NodeReports:
         self.reports[name] = NodeReport(level, message, now)
         if {"rate", "paused", "position"} <= values.keys():
             with suppress(ValueError):  # not a player of twinmatch
-                played = (values["paused"] == "True", float(values["rate"]), values["position"])
-                self._take_player(PlayerState(name, *played), now, over=values.get("ended") == "True")
+                played = (
+                    values["paused"] == "True",
+                    float(values["rate"]),
+                    values["position"],
+                )
+                self._take_player(
+                    PlayerState(name, *played), now, over=values.get("ended") == "True"
+                )
         if level < ERROR:
             return None if self._errors.pop(name, None) is None else "recovered"
         kind = kind_of(message)
@@ -101,7 +109,11 @@ class NodeReports:
         """
         if self.ended is not None:
             return
-        gone = [name for name, report in self.reports.items() if now - report.at > _SILENT.forget]
+        gone = [
+            name
+            for name, report in self.reports.items()
+            if now - report.at > _SILENT.forget
+        ]
         for name in gone:
             del self.reports[name]
             self._errors.pop(name, None)

@@ -9,7 +9,14 @@ from typing import Any, Final
 
 import numpy as np
 from bokeh.core.properties import value
-from bokeh.models import ColorBar, Column, ColumnDataSource, FactorRange, HoverTool, LinearColorMapper
+from bokeh.models import (
+    ColorBar,
+    Column,
+    ColumnDataSource,
+    FactorRange,
+    HoverTool,
+    LinearColorMapper,
+)
 from bokeh.palettes import Cividis256, Inferno256
 from bokeh.plotting import figure
 from numpy.typing import NDArray
@@ -60,7 +67,9 @@ class GapMatrix:
         nominal = verdict.nominal if verdict else None
         # Long names do not fit above the columns: columns have numbers, rows have names and numbers.
         columns = [str(k) for k in range(1, len(candidates) + 1)]
-        rows = [f"{_short(c.name)}  {k}" for k, c in zip(columns, candidates, strict=True)]
+        rows = [
+            f"{_short(c.name)}  {k}" for k, c in zip(columns, candidates, strict=True)
+        ]
         gaps = np.array(verdict.nu_gap if verdict else (), dtype=np.float64)
         if gaps.shape != (len(rows), len(rows)):
             gaps = np.zeros((len(rows), len(rows)))
@@ -77,24 +86,45 @@ class GapMatrix:
         self._sums.data = _sums(candidates, columns, nominal)
 
     def _draw(self) -> Any:
-        ranges = {"x_range": FactorRange(), "y_range": FactorRange(), "x_axis_location": "above"}
+        ranges = {
+            "x_range": FactorRange(),
+            "y_range": FactorRange(),
+            "x_axis_location": "above",
+        }
         chart = _map("matrix", _SIZE.head + _SIZE.row, min_border_left=56, **ranges)
         chart.axis.axis_line_color = None
         chart.axis.major_tick_line_color = None
-        filling = {"fill_color": {"field": "gap", "transform": self._colours}, "line_color": None}
-        cells = chart.rect("column", "row", width=0.96, height=0.96, source=self._cells, **filling)
-        font = {"text_align": "center", "text_baseline": "middle", "text_font": value(FONT)}
+        filling = {
+            "fill_color": {"field": "gap", "transform": self._colours},
+            "line_color": None,
+        }
+        cells = chart.rect(
+            "column", "row", width=0.96, height=0.96, source=self._cells, **filling
+        )
+        font = {
+            "text_align": "center",
+            "text_baseline": "middle",
+            "text_font": value(FONT),
+        }
         font["text_color"] = "ink"
-        chart.text("column", "row", "shown", source=self._cells, text_font_size="12px", **font)
+        chart.text(
+            "column", "row", "shown", source=self._cells, text_font_size="12px", **font
+        )
         font["text_font_style"] = "style"
-        chart.text("column", "row", "shown", source=self._sums, text_font_size="13px", **font)
+        chart.text(
+            "column", "row", "shown", source=self._sums, text_font_size="13px", **font
+        )
         rows = [("between", "@pair"), ("ν-gap", "@gap{0.0000}"), ("90 %", "@interval")]
         chart.add_tools(HoverTool(renderers=[cells], tooltips=rows, visible=False))
         return chart
 
 
 def _cell(
-    candidate: CandidateScore, other: CandidateScore, place: int, gap: float, most: float
+    candidate: CandidateScore,
+    other: CandidateScore,
+    place: int,
+    gap: float,
+    most: float,
 ) -> dict[str, Any]:
     """The ν-gap from a candidate to another one, which has this place; `most` is the largest of all gaps."""
     return {
@@ -132,7 +162,11 @@ def _sums(
 
 def _map(name: str, height: int, **options: Any) -> Any:
     """A chart without grid and tools."""
-    bare: dict[str, Any] = {"tools": "", "toolbar_location": None, "sizing_mode": "stretch_width"}
+    bare: dict[str, Any] = {
+        "tools": "",
+        "toolbar_location": None,
+        "sizing_mode": "stretch_width",
+    }
     chart = figure(name=name, height=height, **bare, **options)
     chart.grid.grid_line_color = None
     return chart
@@ -150,8 +184,14 @@ def _ink(share: float) -> str:
     """Black or white, whichever has more contrast on the colour of a gap, given as a share of the largest."""
     colour = _PALETTE[min(len(_PALETTE) - 1, int(share * len(_PALETTE)))]
     parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
-    r, g, b = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
-    return "#FFFFFF" if 0.2126 * r + 0.7152 * g + 0.0722 * b < _EQUAL_CONTRAST else "#000000"
+    r, g, b = (
+        p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts
+    )
+    return (
+        "#FFFFFF"
+        if 0.2126 * r + 0.7152 * g + 0.0722 * b < _EQUAL_CONTRAST
+        else "#000000"
+    )
 
 
 def _interval(candidate: CandidateScore, place: int) -> str:
@@ -170,11 +210,19 @@ class ThermalImage:
 
     def __init__(self) -> None:
         """Start without an image; the card is hidden."""
-        self._source = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
-        self._colours = LinearColorMapper(palette=Inferno256, low=20.0, high=30.0, nan_color="#8C8C8C")
+        self._source = ColumnDataSource(
+            {"image": [], "x": [], "y": [], "dw": [], "dh": []}
+        )
+        self._colours = LinearColorMapper(
+            palette=Inferno256, low=20.0, high=30.0, nan_color="#8C8C8C"
+        )
         self.figure = self._draw()
         heading = panel("thermal_heading", "<h2>Thermal image / °C</h2>")
-        place: dict[str, Any] = {"css_classes": ["card"], "visible": False, "sizing_mode": "stretch_width"}
+        place: dict[str, Any] = {
+            "css_classes": ["card"],
+            "visible": False,
+            "sizing_mode": "stretch_width",
+        }
         self.root = Column(heading, self.figure, name="thermal_card", **place)
         """The whole card; hidden for a plant without a camera."""
 
@@ -187,13 +235,30 @@ class ThermalImage:
         widening = max(0.0, MIN_SPAN - (high - low)) / 2
         self._colours.low = round(low - widening, 1)
         self._colours.high = round(high + widening, 1)
-        self._source.data = {"image": [image[::-1]], "x": [0], "y": [0], "dw": [columns], "dh": [rows]}
+        self._source.data = {
+            "image": [image[::-1]],
+            "x": [0],
+            "y": [0],
+            "dw": [columns],
+            "dh": [rows],
+        }
 
     def _draw(self) -> Any:
         axes = {"match_aspect": True, "x_axis_type": None, "y_axis_type": None}
-        borders = {"min_border_left": 4, "min_border_right": 56}  # room for labels such as 22.5
+        # room for labels such as 22.5
+        borders = {"min_border_left": 4, "min_border_right": 56}
         chart = _map("thermal", 260, **axes, **borders)
         chart.x_range.range_padding = chart.y_range.range_padding = 0
-        chart.image("image", "x", "y", "dw", "dh", source=self._source, color_mapper=self._colours)
-        chart.add_layout(ColorBar(color_mapper=self._colours, width=10, padding=6), "right")
+        chart.image(
+            "image",
+            "x",
+            "y",
+            "dw",
+            "dh",
+            source=self._source,
+            color_mapper=self._colours,
+        )
+        chart.add_layout(
+            ColorBar(color_mapper=self._colours, width=10, padding=6), "right"
+        )
         return chart

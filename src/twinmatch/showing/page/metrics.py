@@ -55,15 +55,45 @@ def _of_state(state: DashboardState, now: float) -> Iterator[_Gauge]:
     statements = state.statements
     trust = statements.trust
     levels = [(float(level is trust.level), (level.value,)) for level in TrustLevel]
-    faults_on = [(1.0, (fault.name, fault.signal)) for fault in statements.faults] or [(0.0, ("", ""))]
+    faults_on = [(1.0, (fault.name, fault.signal)) for fault in statements.faults] or [
+        (0.0, ("", ""))
+    ]
     yield "sample_index", "Index of the newest sample.", "", [(index, ())]
-    yield "verdicts", "Verdicts of this session.", "", [(float(state.tally.verdicts), ())]
-    yield "sample_age_seconds", "Time since the newest sample was received.", "", [(age, ())]
-    yield "trust_level", "1 for the level of trust in the leader, 0 for the others.", "level", levels
+    yield (
+        "verdicts",
+        "Verdicts of this session.",
+        "",
+        [(float(state.tally.verdicts), ())],
+    )
+    yield (
+        "sample_age_seconds",
+        "Time since the newest sample was received.",
+        "",
+        [(age, ())],
+    )
+    yield (
+        "trust_level",
+        "1 for the level of trust in the leader, 0 for the others.",
+        "level",
+        levels,
+    )
     longest = [(trust.longest, ())]
-    yield "trusted_horizon_seconds", "How far ahead the leader is trusted; 0: not at all.", "", longest
-    yield "fault", "1 for each fault of plant or drive that is on; 0 without one.", "fault channel", faults_on
-    points = [(point, (point.signal.name, point.signal.unit, f"{point.horizon:g}")) for point in ahead(state)]
+    yield (
+        "trusted_horizon_seconds",
+        "How far ahead the leader is trusted; 0: not at all.",
+        "",
+        longest,
+    )
+    yield (
+        "fault",
+        "1 for each fault of plant or drive that is on; 0 without one.",
+        "fault channel",
+        faults_on,
+    )
+    points = [
+        (point, (point.signal.name, point.signal.unit, f"{point.horizon:g}"))
+        for point in ahead(state)
+    ]
     for edge in ("mean", "low", "high"):
         text = f"The leader's forecast at a horizon in seconds, {edge} of its band."
         numbers = [(getattr(point, edge), values) for point, values in points]
@@ -95,12 +125,19 @@ def _of_verdict(state: DashboardState, verdict: Verdict) -> Iterator[_Gauge]:
     text = "Share of the readings that the leader's bands have held; 0.9 is expected."
     yield "forecast_coverage_ratio", text, "horizon", shares
     text = "RMS of reading minus the leader's forecast over the newest samples, in half widths of its band."
-    yield "forecast_error_rms", text, "signal", [(miss, (name,)) for miss, name in misses]
+    yield (
+        "forecast_error_rms",
+        text,
+        "signal",
+        [(miss, (name,)) for miss, name in misses],
+    )
     ratios = [
         (1.0 - skill, (baseline, f"{horizon:g}"))
         for baseline in ("persistence", "arx")
         for horizon, skill in zip(
-            verdict.horizons, getattr(verdict.leading, f"{baseline}_skill", ()), strict=False
+            verdict.horizons,
+            getattr(verdict.leading, f"{baseline}_skill", ()),
+            strict=False,
         )
     ]
     text = "Mean |error| of the leader's forecasts, divided by that of a baseline."

@@ -53,7 +53,9 @@ class MqttOutlet:
             plant = state.described.plant
             title = state.described.title
             name = _NOT_PLAIN.sub("_", self._rig or plant)
-            messages = messages_of(state, name, title if self._rig in {"", plant} else self._rig)
+            messages = messages_of(
+                state, name, title if self._rig in {"", plant} else self._rig
+            )
         if not plant:
             return ""
         if name != self._name:
@@ -82,7 +84,8 @@ class MqttOutlet:
     def close(self) -> bool:
         """Say that nothing follows, and disconnect; returns whether the client's thread has ended."""
         if self._name and self._client.is_connected():
-            with suppress(RuntimeError, ValueError):  # the connection is lost at this moment
+            with suppress(RuntimeError, ValueError):
+                # the connection is lost at this moment
                 last = self._client.publish(_status(self._name), "offline", retain=True)
                 last.wait_for_publish(_GOODBYE)
         return leave(self._client)
@@ -112,19 +115,32 @@ def messages_of(state: DashboardState, name: str, title: str) -> dict[str, str]:
     for entity in _entities(state):
         name_of_entity = f"{device}_{entity.key}"
         value = f"{{{{ {entity.value} }}}}"
-        config = {**common, "unique_id": name_of_entity, "value_template": value, **entity.fields}
+        config = {
+            **common,
+            "unique_id": name_of_entity,
+            "value_template": value,
+            **entity.fields,
+        }
         if entity.attributes:
-            pairs = ", ".join(f"'{name}': {expression}" for name, expression in entity.attributes.items())
+            pairs = ", ".join(
+                f"'{name}': {expression}"
+                for name, expression in entity.attributes.items()
+            )
             config["json_attributes_template"] = f"{{{{ {{{pairs}}} | tojson }}}}"
             config["json_attributes_topic"] = topic
         documents[f"homeassistant/{entity.kind}/{name_of_entity}/config"] = config
     documents[topic] = finite(_document(state))
-    return {topic: json.dumps(document, ensure_ascii=False) for topic, document in documents.items()}
+    return {
+        topic: json.dumps(document, ensure_ascii=False)
+        for topic, document in documents.items()
+    }
 
 
 def _document(state: DashboardState) -> dict[str, Any]:
     """The state; the forecast is that at the longest trusted horizon, or else at the longest there is."""
-    outputs = [point for point in ahead(state) if point.signal in state.described.outputs]
+    outputs = [
+        point for point in ahead(state) if point.signal in state.described.outputs
+    ]
     statements = state.statements
     trusted = statements.trust.longest
     shown = trusted or max((point.horizon for point in outputs), default=0.0)
@@ -162,7 +178,10 @@ def _goal_document(state: DashboardState) -> dict[str, Any]:
 
 def _rounded(edge: str, points: Sequence[PointAhead]) -> dict[str, float]:
     """An edge of the forecast, or its mean, by the name of the signal."""
-    return {point.signal.name: round(getattr(point, edge), point.signal.decimals) for point in points}
+    return {
+        point.signal.name: round(getattr(point, edge), point.signal.decimals)
+        for point in points
+    }
 
 
 class _Entity(NamedTuple):
@@ -181,12 +200,25 @@ class _Entity(NamedTuple):
 def _entities(state: DashboardState) -> Iterator[_Entity]:
     """The entities of a rig; what is not known is rendered as `None`."""
     template = {key: f"value_json.{key}" for key in _document(state)}
-    levels = {"name": "Trust", "device_class": "enum", "options": [level.value for level in TrustLevel]}
+    levels = {
+        "name": "Trust",
+        "device_class": "enum",
+        "options": [level.value for level in TrustLevel],
+    }
     words = {"sentence": template["sentence"], "leader": template["leader"]}
     yield _Entity("sensor", "trust", levels, template["level"], words)
-    seconds = {"name": "Trusted ahead", "device_class": "duration", "unit_of_measurement": "s", **_MEASURED}
+    seconds = {
+        "name": "Trusted ahead",
+        "device_class": "duration",
+        "unit_of_measurement": "s",
+        **_MEASURED,
+    }
     yield _Entity("sensor", "horizon", seconds, template["horizon"], {})
-    percent = {"name": "Readings within the bands", "unit_of_measurement": "%", **_MEASURED}
+    percent = {
+        "name": "Readings within the bands",
+        "unit_of_measurement": "%",
+        **_MEASURED,
+    }
     yield _Entity("sensor", "coverage", percent, template["coverage"], {})
     for output in state.described.outputs:
         fields = {"name": f"Forecast of {output.text or output.name}", **_MEASURED}
@@ -194,23 +226,38 @@ def _entities(state: DashboardState) -> Iterator[_Entity]:
             fields["unit_of_measurement"] = output.unit
         if output.unit in _TEMPERATURES:
             fields["device_class"] = "temperature"
-        edges = {key: f"{template[key]}.get('{output.name}')" for key in ("low", "high")}
+        edges = {
+            key: f"{template[key]}.get('{output.name}')" for key in ("low", "high")
+        }
         mean = f"{template['forecast']}.get('{output.name}')"
         attributes = {**edges, "ahead": template["ahead"]}
         yield _Entity("sensor", f"forecast_{output.name}", fields, mean, attributes)
     if state.goal is not None:
-        yield from _goal_entities(template, state.goal.goal.level, state.described.outputs[0].unit)
+        yield from _goal_entities(
+            template, state.goal.goal.level, state.described.outputs[0].unit
+        )
     problem = {"name": "Fault", "device_class": "problem"}
     is_faulty = "'ON' if value_json.fault else 'OFF'"
-    yield _Entity("binary_sensor", "fault", problem, is_faulty, {"fault": template["fault"]})
+    yield _Entity(
+        "binary_sensor", "fault", problem, is_faulty, {"fault": template["fault"]}
+    )
 
 
-def _goal_entities(template: dict[str, str], level: float, unit: str) -> Iterator[_Entity]:
+def _goal_entities(
+    template: dict[str, str], level: float, unit: str
+) -> Iterator[_Entity]:
     """When the level that is asked for is reached, and when to begin."""
     seconds = {"device_class": "duration", "unit_of_measurement": "s", **_MEASURED}
     named = f"{level:g} {unit}".rstrip()
-    for key, name in (("reached", f"{named} reached in"), ("reached_if_moved", f"{named} if begun now in")):
+    for key, name in (
+        ("reached", f"{named} reached in"),
+        ("reached_if_moved", f"{named} if begun now in"),
+    ):
         edges = {edge: f"{template[key]}.{edge}" for edge in ("earliest", "latest")}
-        yield _Entity("sensor", key, {"name": name, **seconds}, f"{template[key]}.expected", edges)
+        yield _Entity(
+            "sensor", key, {"name": name, **seconds}, f"{template[key]}.expected", edges
+        )
     begin = {"name": f"Begin for {named} in", **seconds}
-    yield _Entity("sensor", "begin", begin, template["begin"], {"move": template["move"]})
+    yield _Entity(
+        "sensor", "begin", begin, template["begin"], {"move": template["move"]}
+    )

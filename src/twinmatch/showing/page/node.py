@@ -13,7 +13,12 @@ from queue import Empty, SimpleQueue
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.qos import (
+    HistoryPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_profile_sensor_data,
+)
 from sensor_msgs.msg import Image
 
 from twinmatch.description import UNDESCRIBED
@@ -45,7 +50,9 @@ from twinmatch_msgs.msg import (
     TwinState,
 )
 
-ALL = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+ALL = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE
+)
 """The queue holds two seconds of a recording played at a thousand times its speed."""
 SUM_UP = 1.0
 """Seconds between checks for a new verdict, after which the session is summarised again."""
@@ -59,11 +66,27 @@ class Dashboard(TwinmatchNode):
     NAME = "dashboard"
     PARAMETERS = (
         *place_settings(5006),
-        Setting("config", "", "Parameter file of the twin's nodes; empty: their defaults."),
-        Setting("control", False, "Whether the page may set the set-point, clear faults and stop."),
-        Setting("reach", "", "Level of which to say when the output is there; empty: none."),
-        Setting("by", "", "Time of day, HH:MM, of which to say when one must begin; empty: none."),
-        Setting("tell", "", "Broker to publish over MQTT to, such as mqtt://HOST; empty: none."),
+        Setting(
+            "config", "", "Parameter file of the twin's nodes; empty: their defaults."
+        ),
+        Setting(
+            "control",
+            False,
+            "Whether the page may set the set-point, clear faults and stop.",
+        ),
+        Setting(
+            "reach", "", "Level of which to say when the output is there; empty: none."
+        ),
+        Setting(
+            "by",
+            "",
+            "Time of day, HH:MM, of which to say when one must begin; empty: none.",
+        ),
+        Setting(
+            "tell",
+            "",
+            "Broker to publish over MQTT to, such as mqtt://HOST; empty: none.",
+        ),
     )
     CLOSING = 10
 
@@ -76,7 +99,11 @@ class Dashboard(TwinmatchNode):
 
     def open(self) -> None:
         """Subscribe to the graph and serve the page."""
-        described = description_of(self._settings.plant) if self.values["config"] else UNDESCRIBED
+        described = (
+            description_of(self._settings.plant)
+            if self.values["config"]
+            else UNDESCRIBED
+        )
         self._shown = Shown(described, lambda: self._settings)
         self.state = self._shown.state
         self._requested: SimpleQueue[Callable[[], None]] = SimpleQueue()
@@ -95,9 +122,16 @@ class Dashboard(TwinmatchNode):
             self._shown.publish_to(self.values["tell"])
         address = self.values["address"]
         self._shown.serve(
-            self._requests, self.values["port"], address, Hosts.of(address, self.values["hosts"])
+            self._requests,
+            self.values["port"],
+            address,
+            Hosts.of(address, self.values["hosts"]),
         )
-        able = "read this page and command the plant" if self.values["control"] else "read this page"
+        able = (
+            "read this page and command the plant"
+            if self.values["control"]
+            else "read this page"
+        )
         warn_if_open("PAGE", address, able)
         self.report_on()
 
@@ -105,16 +139,22 @@ class Dashboard(TwinmatchNode):
         """Have the state take what the graph says."""
         state = self.state
 
-        def drive(message: PwmApplied | PlantApplied, applied: OperatingPoint, current: float) -> None:
+        def drive(
+            message: PwmApplied | PlantApplied, applied: OperatingPoint, current: float
+        ) -> None:
             stamp = nanoseconds(message.header.stamp)
-            state.push_drive(DriveReport(applied, current, message.fault, stamp or None))
+            state.push_drive(
+                DriveReport(applied, current, message.fault, stamp or None)
+            )
 
         def take_sample(sample: Sample) -> None:
             self._requests.prepare(len(sample.references))
             state.push_sample(sample, time.monotonic())
 
         def take_twin(message: TwinState) -> None:
-            values = (tuple(map(float, getattr(message, name))) for name in TwinRow._fields)
+            values = (
+                tuple(map(float, getattr(message, name))) for name in TwinRow._fields
+            )
             state.push_twin(message.index, TwinRow(*values))
 
         for kind, topic, take, qos in (
@@ -122,13 +162,28 @@ class Dashboard(TwinmatchNode):
             (LoopSample, "plant/sample", take_sample, ALL),
             (TwinState, "twin/state", take_twin, ALL),
             (EstimatedReading, "plant/estimate", state.push_estimate, ALL),
-            (messages.ExperimentReport, "twin/experiment", state.push_experiment, LATCHED),
+            (
+                messages.ExperimentReport,
+                "twin/experiment",
+                state.push_experiment,
+                LATCHED,
+            ),
             (messages.LawReport, "twin/law", state.push_law, ALL),
             (messages.LawReport, "plant/law", state.push_law, LATCHED),
             (Forecast, "twin/forecast", state.push_forecast, ALL),
             (ModelScore, "twin/model_score", state.push_verdict, ALL),
-            (PwmApplied, "plant/pwm_applied", lambda m: drive(m, m.pwm, m.current), ALL),
-            (PlantApplied, "plant/applied", lambda m: drive(m, tuple(m.input), math.nan), ALL),
+            (
+                PwmApplied,
+                "plant/pwm_applied",
+                lambda m: drive(m, m.pwm, m.current),
+                ALL,
+            ),
+            (
+                PlantApplied,
+                "plant/applied",
+                lambda m: drive(m, tuple(m.input), math.nan),
+                ALL,
+            ),
             (DiagnosticArray, "/diagnostics", self._on_health, ALL),
             (Image, "thermal/image", self._on_image, qos_profile_sensor_data),
         ):
@@ -137,11 +192,19 @@ class Dashboard(TwinmatchNode):
     def _begin_timers(self) -> None:
         """Ask, sum up and carry out requests from time to time, on a clock that is never set."""
         if self.values["reach"]:
-            goal = Goal(number_in(self.values["reach"], "dashboard: reach"), self.values["by"])
+            goal = Goal(
+                number_in(self.values["reach"], "dashboard: reach"), self.values["by"]
+            )
             ask = partial(self._requests.reach, goal)
-            self.create_timer(ASKED_EVERY, ask, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.create_timer(SUM_UP, self._sum_up, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.create_timer(POLL, self._run_requests, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            self.create_timer(
+                ASKED_EVERY, ask, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            )
+        self.create_timer(
+            SUM_UP, self._sum_up, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+        self.create_timer(
+            POLL, self._run_requests, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
 
     @property
     def failure(self) -> Exception | None:
@@ -164,7 +227,9 @@ class Dashboard(TwinmatchNode):
         self.state.describe(record_of(message))
         self._requests.prepare(len(self.state.described.loops))
         if not self.values["config"] and message.plant != self._settings.plant.name:
-            self._settings = TwinSettings.of(plant_named(message.plant), period=message.period)
+            self._settings = TwinSettings.of(
+                plant_named(message.plant), period=message.period
+            )
 
     def _on_health(self, message: DiagnosticArray) -> None:
         time_received = time.monotonic()
@@ -174,14 +239,18 @@ class Dashboard(TwinmatchNode):
                 continue
             values = {pair.key: pair.value for pair in status.values}
             level = int.from_bytes(status.level, "little")
-            self.state.push_health(status.name, level, status.message, values, time_received)
+            self.state.push_health(
+                status.name, level, status.message, values, time_received
+            )
 
     def _on_image(self, message: Image) -> None:
         if message.encoding != "32FC1":
             return
         kind = np.dtype(">f4" if message.is_bigendian else "<f4")
         pixels = np.frombuffer(bytes(message.data), dtype=kind)
-        self.state.push_image(pixels.astype(np.float32).reshape(message.height, message.width))
+        self.state.push_image(
+            pixels.astype(np.float32).reshape(message.height, message.width)
+        )
 
     def _sum_up(self) -> None:
         """Summarise the session after a new verdict, and publish the state to the broker."""

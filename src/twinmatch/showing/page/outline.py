@@ -31,9 +31,14 @@ def ahead(state: DashboardState) -> list[PointAhead]:
     points = []
     if forecast is None or not forecast.time.size:
         return []
-    for horizon in (state.verdict and state.verdict.horizons) or (float(forecast.time[-1]),):
+    for horizon in (state.verdict and state.verdict.horizons) or (
+        float(forecast.time[-1]),
+    ):
         k = int(np.argmin(np.abs(forecast.time - horizon)))
-        for kind, bands in ((described.outputs, forecast.outputs), (described.inputs, forecast.inputs)):
+        for kind, bands in (
+            (described.outputs, forecast.outputs),
+            (described.inputs, forecast.inputs),
+        ):
             for signal, band in zip(kind, bands, strict=False):
                 edges = (float(edge[k]) for edge in (band.mean, band.low, band.high))
                 points.append(PointAhead(signal, horizon, *edges))
@@ -43,5 +48,9 @@ def ahead(state: DashboardState) -> list[PointAhead]:
 def coverage(state: DashboardState) -> dict[float, float]:
     """Share of the readings that the leader's bands have held, by horizon (s), where it is known."""
     leading = state.verdict and state.verdict.leading
-    shares = zip(state.verdict.horizons, leading.coverage, strict=False) if state.verdict and leading else ()
+    shares = (
+        zip(state.verdict.horizons, leading.coverage, strict=False)
+        if state.verdict and leading
+        else ()
+    )
     return {horizon: share for horizon, share in shares if not math.isnan(share)}

@@ -32,9 +32,16 @@ SILENCE = 5.0
 IN_WORDS = ("level", "decided", "leader", "nominal", "why")
 """Columns of the terminal's table that the page shows elsewhere."""
 DASH = "–"
-NO_CANDIDATE = '<p class="quiet">There is no candidate yet: no match has been admitted.</p>'
+NO_CANDIDATE = (
+    '<p class="quiet">There is no candidate yet: no match has been admitted.</p>'
+)
 NO_SAMPLE = '<p class="quiet">No sample yet.</p>'
-NODE_LEVELS = (TrustLevel.TRUSTED, TrustLevel.DOUBTFUL, TrustLevel.FAULT, TrustLevel.UNKNOWN)
+NODE_LEVELS = (
+    TrustLevel.TRUSTED,
+    TrustLevel.DOUBTFUL,
+    TrustLevel.FAULT,
+    TrustLevel.UNKNOWN,
+)
 """For each level of REP 107, the trust level whose colour it has."""
 NODE_WORDS = ("OK", "warning", "error", "silent")
 AT_REST = "has ended with the replay"
@@ -78,11 +85,20 @@ def what_to_do(state: DashboardState) -> str:
             f"Step the {references} and hold it for some minutes (in open loop the {inputs}): a twin is "
             "matched to the plant's response."
         )
-    unit = described.outputs[0].unit + (f" of {described.loops[0][1].name}" if described.outputs[1:] else "")
-    return _advice(statements, unit, described.outputs[0].decimals - 1, state.tally.held)
+    unit = described.outputs[0].unit + (
+        f" of {described.loops[0][1].name}" if described.outputs[1:] else ""
+    )
+    return _advice(
+        statements, unit, described.outputs[0].decimals - 1, state.tally.held
+    )
 
 
-def _advice(statements: Statements, unit: str, decimals: int, ranges: Sequence[tuple[float, float]]) -> str:
+def _advice(
+    statements: Statements,
+    unit: str,
+    decimals: int,
+    ranges: Sequence[tuple[float, float]],
+) -> str:
     """What to do after a verdict."""
     level = statements.trust.level
     if level is TrustLevel.FAULT:
@@ -109,7 +125,9 @@ def _answer(question: str, answer: str, remark: str) -> str:
 def _leader(state: DashboardState) -> str:
     nominal = (state.verdict and state.verdict.nominal) or "none yet"
     remark = f"nominal, the centre of the family: <b>{escape(nominal)}</b>"
-    return _answer("leader, the twin to ask what comes next", state.leader or nominal, remark)
+    return _answer(
+        "leader, the twin to ask what comes next", state.leader or nominal, remark
+    )
 
 
 def _forecast(state: DashboardState) -> str:
@@ -122,7 +140,9 @@ def _forecast(state: DashboardState) -> str:
     spans = []
     for output, band in zip(outputs, forecast.outputs, strict=False):
         places = max(0, output.decimals - 1)
-        mean, low, high = (number(float(v[-1]), places) for v in (band.mean, band.low, band.high))
+        mean, low, high = (
+            number(float(v[-1]), places) for v in (band.mean, band.low, band.high)
+        )
         means.append(f"{mean} {output.unit}".rstrip())
         spans.append(f"{low} to {high} {output.unit}".rstrip())
     names = ", ".join(output.name.replace("_", " ") for output in outputs[: len(means)])
@@ -146,7 +166,11 @@ def _health(state: DashboardState) -> str:
     through = "".join(f"<br>{escape(words)}" for words in estimates)
     fault = state.statements.plant_fault
     if fault is None:
-        return _answer("plant health", "✓ no fault found", f"drive and sensor behave as expected{through}")
+        return _answer(
+            "plant health",
+            "✓ no fault found",
+            f"drive and sensor behave as expected{through}",
+        )
     begin = fault.begin(state.period)
     evidence = f"{begin}: {fault.reason}" if begin else fault.reason
     name = f"{SIGNS[TrustLevel.FAULT]} {fault.called.replace('-', ' ')}"
@@ -162,13 +186,19 @@ def reasons(verdict: Verdict | None, period: float, sentence: str = "") -> str:
     further += "".join(f"<p>{escape(words)}</p>" for words in _more(verdict, period))
     if trust_of_signals := trust_by_signal(verdict):
         lines = [
-            "".join(f"<td>{escape(cell)}</td>" for cell in signal.values()) for signal in trust_of_signals
+            "".join(f"<td>{escape(cell)}</td>" for cell in signal.values())
+            for signal in trust_of_signals
         ]
         further += _table(
-            [(head, "", "") for head in trust_of_signals[0]], [f"<tr>{line}</tr>" for line in lines]
+            [(head, "", "") for head in trust_of_signals[0]],
+            [f"<tr>{line}</tr>" for line in lines],
         )
     figures = _tiles(
-        [("judged at / s" if n == "t / s" else n, cell) for n, cell in cells.items() if n not in IN_WORDS]
+        [
+            ("judged at / s" if n == "t / s" else n, cell)
+            for n, cell in cells.items()
+            if n not in IN_WORDS
+        ]
     )
     why = f'<p><span class="label">newest verdict:</span> {escape(verdict.reason)}</p>'
     return f'<div class="why">{figures}{why}{further}</div>'
@@ -191,14 +221,26 @@ def tiles(state: DashboardState) -> str:
             (f"plant's {control.label}", "input", u),
             (f"twin's {control.label}", "closed_input", u),
         )
-        rows.append([(label, number(values.get(nth(name, k)), places)) for label, name, places in shown])
+        rows.append(
+            [
+                (label, number(values.get(nth(name, k)), places))
+                for label, name, places in shown
+            ]
+        )
     if state.drive is not None:
         # The last report of a played session is later than its last sample: the drive has let go.
-        applied_word = "applied" if state.nodes.ended is None else "applied after the end"
+        applied_word = (
+            "applied" if state.nodes.ended is None else "applied after the end"
+        )
         for tiles_of_loop, (_, _, control), applied in zip(
             rows, loops, point_values(state.drive.input), strict=False
         ):
-            tiles_of_loop.append((with_unit(applied_word, control.unit), number(applied, control.decimals)))
+            tiles_of_loop.append(
+                (
+                    with_unit(applied_word, control.unit),
+                    number(applied, control.decimals),
+                )
+            )
         if not math.isnan(state.drive.current):
             rows[0].append(("current / A", number(state.drive.current, 2)))
     return "".join(_tiles(tiles_of_loop, "tiles now") for tiles_of_loop in rows)
@@ -212,12 +254,30 @@ def status(state: DashboardState, now: float) -> str:
     if ended is not None:
         pills.append(_pill(None, f"the replay has ended: {ended.position}"))
     elif player is not None:
-        rate = "as fast as possible" if player.rate == 0 else f"{player.rate:g} × recorded speed"
-        pills.append(_pill(None, f"{'paused' if player.paused else 'playing'}: {player.position}, {rate}"))
+        rate = (
+            "as fast as possible"
+            if player.rate == 0
+            else f"{player.rate:g} × recorded speed"
+        )
+        pills.append(
+            _pill(
+                None,
+                f"{'paused' if player.paused else 'playing'}: {player.position}, {rate}",
+            )
+        )
     reports = state.nodes.reports
-    to_attend = [name for name in reports if not state.nodes.at_rest(name) and state.nodes.level(name, now)]
+    to_attend = [
+        name
+        for name in reports
+        if not state.nodes.at_rest(name) and state.nodes.level(name, now)
+    ]
     if to_attend:
-        pills.append(_pill(TrustLevel.DOUBTFUL, f"{len(to_attend)} of {len(reports)} nodes need attention"))
+        pills.append(
+            _pill(
+                TrustLevel.DOUBTFUL,
+                f"{len(to_attend)} of {len(reports)} nodes need attention",
+            )
+        )
     elif reports and ended is None:
         fine = "1 node is OK" if len(reports) == 1 else f"{len(reports)} nodes are OK"
         pills.append(_pill(TrustLevel.TRUSTED, fine))
@@ -229,7 +289,9 @@ def _sample_pill(state: DashboardState, now: float) -> str:
         return _pill(TrustLevel.UNKNOWN, "waiting for the first sample")
     quiet = now - state.received_at
     sample_time = (state.sample or 0) * state.period
-    newest = f"sample {state.sample}, {number(sample_time, 0 if state.period >= 1 else 1)} s"
+    newest = (
+        f"sample {state.sample}, {number(sample_time, 0 if state.period >= 1 else 1)} s"
+    )
     if quiet > SILENCE * max(1.0, state.period) and state.nodes.ended is None:
         return _pill(TrustLevel.DOUBTFUL, f"no sample for {quiet:.0f} s after {newest}")
     return _pill(TrustLevel.TRUSTED, newest)
@@ -256,7 +318,11 @@ def family_table(verdict: Verdict | None, *, all_orders: bool) -> str:
     table = family_table_of(verdict)
     orders = [("order", "", "")] if verdict.modelled else []
     columns = [*table.criteria, *table.figures]
-    head = [("candidate", "", ""), *orders, *((c.name, c.unit, c.meaning) for c in columns)]
+    head = [
+        ("candidate", "", ""),
+        *orders,
+        *((c.name, c.unit, c.meaning) for c in columns),
+    ]
     head += [(q.symbol, q.unit, q.words) for q in table.parameters]
     lines = []
     for candidate in table.candidates:
@@ -264,20 +330,30 @@ def family_table(verdict: Verdict | None, *, all_orders: bool) -> str:
         tag = '<span class="tag">nominal</span>' if nominal else ""
         figures = [column.text(candidate) for column in table.figures]
         figures += [table.parameter(candidate, q) for q in table.parameters]
-        both, _ = outputs_of(candidate.orders)[-1]  # both outputs together; in open loop the output alone
+        # both outputs together; in open loop the output alone
+        both, _ = outputs_of(candidate.orders)[-1]
         rows = criterion_rows(candidate, table.criteria)
         shown = [line for line in rows if line.output == both]
         for line in shown or (None,):
             chosen = line is None or line.chosen
             if not (all_orders or chosen):
                 continue
-            cells = [f"<td>{escape(candidate.name)}{tag}</td>" if chosen else "<td></td>"]
+            cells = [
+                f"<td>{escape(candidate.name)}{tag}</td>" if chosen else "<td></td>"
+            ]
             if line is not None:
-                cells.append(f'<td class="left">{escape(line.order)}{" ✓" if chosen else ""}</td>')
+                cells.append(
+                    f'<td class="left">{escape(line.order)}{" ✓" if chosen else ""}</td>'
+                )
                 cells += [
-                    f'<td class="best">{c.text}</td>' if c.best else f"<td>{c.text}</td>" for c in line.cells
+                    f'<td class="best">{c.text}</td>'
+                    if c.best
+                    else f"<td>{c.text}</td>"
+                    for c in line.cells
                 ]
-            cells += [f"<td>{escape(value) if chosen else ''}</td>" for value in figures]
+            cells += [
+                f"<td>{escape(value) if chosen else ''}</td>" for value in figures
+            ]
             kind = "faded"
             if chosen:
                 kind = "nominal-row" if nominal else ""
@@ -350,7 +426,9 @@ def _more(verdict: Verdict, period: float) -> list[str]:
     """Further statements of a verdict: fault, certainty, structure."""
     fault = plant_fault(verdict)
     shows = f"the plant shows {fault.with_begin(period)}" if fault is not None else ""
-    structure = verdict.structure and f"structure that the samples justify: {verdict.structure}"
+    structure = (
+        verdict.structure and f"structure that the samples justify: {verdict.structure}"
+    )
     return [line for line in (shows, verdict.certainty, structure) if line]
 
 
@@ -364,11 +442,17 @@ def _tiles(entries: Sequence[tuple[str, str]], kind: str = "tiles") -> str:
 
 
 def _pill(level: TrustLevel | None, words: str) -> str:
-    dot = "" if level is None else f'<span class="dot" style="background:{LEVELS[level]}"></span>'
+    dot = (
+        ""
+        if level is None
+        else f'<span class="dot" style="background:{LEVELS[level]}"></span>'
+    )
     return f'<span class="pill">{dot}{escape(words)}</span>'
 
 
-def _table(head: Sequence[tuple[str, str, str]], lines: Sequence[str], kind: str = "") -> str:
+def _table(
+    head: Sequence[tuple[str, str, str]], lines: Sequence[str], kind: str = ""
+) -> str:
     """A table: `head` has name, unit and meaning of each column, `lines` are its rows as HTML."""
     names = "".join(
         f'<th{" class=left" if k == 1 else ""} title="{escape(meaning)}">{escape(name)}'

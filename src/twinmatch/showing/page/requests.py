@@ -70,8 +70,12 @@ class Requests:
             self._law = node.create_client(ApplyLaw, "plant/apply_law")
             self._clear = node.create_client(Trigger, "plant/clear_fault")
             self._stop = node.create_client(Trigger, "plant/stop")
-            self._course = node.create_client(SetParametersAtomically, "controller/set_parameters_atomically")
-            self._limits = node.create_client(GetParameters, "controller/get_parameters")
+            self._course = node.create_client(
+                SetParametersAtomically, "controller/set_parameters_atomically"
+            )
+            self._limits = node.create_client(
+                GetParameters, "controller/get_parameters"
+            )
             self._reference: Publisher | None = None
 
     def prepare(self, loops: int) -> None:
@@ -82,17 +86,25 @@ class Requests:
         """
         if self.control and loops == 1 and self._reference is None:
             # Not latched: a restarted controller must not receive an old request.
-            quiet = {"event_callbacks": PublisherEventCallbacks(use_default_callbacks=False)}
-            self._reference = self._node.create_publisher(Float64, "plant/reference", RELIABLE, **quiet)
+            quiet = {
+                "event_callbacks": PublisherEventCallbacks(use_default_callbacks=False)
+            }
+            self._reference = self._node.create_publisher(
+                Float64, "plant/reference", RELIABLE, **quiet
+            )
 
     def pause(self, paused: bool) -> None:
         """Pause the player of a session, or continue."""
-        self._call(self._pause, SetBool.Request(data=paused), "the player", self._show_result)
+        self._call(
+            self._pause, SetBool.Request(data=paused), "the player", self._show_result
+        )
 
     def rate(self, rate: float) -> None:
         """Set the speed of the player in recorded seconds per second; 0: as fast as possible."""
         value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=rate)
-        request = SetParameters.Request(parameters=[Parameter(name="rate", value=value)])
+        request = SetParameters.Request(
+            parameters=[Parameter(name="rate", value=value)]
+        )
         self._call(self._rate, request, "the player", self._show_rate_result)
 
     def what_if(self, level: float, hold: float | None) -> None:
@@ -122,7 +134,10 @@ class Requests:
         if forecast is None or not settings.plant.single:
             return
         moves = goal.moves(settings.plant, closed=forecast.closed)
-        questions = [goal.held(settings.period), *(goal.moved(move, settings.period) for move in moves)]
+        questions = [
+            goal.held(settings.period),
+            *(goal.moved(move, settings.period) for move in moves),
+        ]
         answers: dict[int, WhatIf.Response] = {}
 
         def take(number: int, answer: WhatIf.Response) -> None:
@@ -144,18 +159,28 @@ class Requests:
                 horizon=question.horizon,
                 level=[goal.level],
             )
-            self._call(self._what_if, request, "the discriminator", partial(take, number), _ignored)
+            self._call(
+                self._what_if,
+                request,
+                "the discriminator",
+                partial(take, number),
+                _ignored,
+            )
 
     def next_experiment(self, *, run: bool = False, stop: bool = False) -> None:
         """Ask which experiment to do next, have it run, or stop the one that runs."""
         if self.control:
             request = Experiment.Request(run=run, stop=stop)
-            self._call(self._experiment, request, "the discriminator", self._show_result)
+            self._call(
+                self._experiment, request, "the discriminator", self._show_result
+            )
 
     def continue_profile(self) -> None:
         """Have the controller continue its profile, which has waited since an experiment began."""
         if self.control:
-            not_followed = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=False)
+            not_followed = ParameterValue(
+                type=ParameterType.PARAMETER_BOOL, bool_value=False
+            )
             parameters = [Parameter(name="course.followed", value=not_followed)]
             request = SetParametersAtomically.Request(parameters=parameters)
             self._call(self._course, request, "the controller", self._show_profile)
@@ -163,7 +188,12 @@ class Requests:
     def law_back(self) -> None:
         """Put the law back that the controller had before the one on trial."""
         if self.control:
-            self._call(self._law, ApplyLaw.Request(back=True), "the controller", self._show_result)
+            self._call(
+                self._law,
+                ApplyLaw.Request(back=True),
+                "the controller",
+                self._show_result,
+            )
 
     def clear_fault(self) -> None:
         """Allow the output to be driven again after a fault."""
@@ -183,9 +213,15 @@ class Requests:
             self._call(self._limits, request, "the controller", send)
 
     def _send_set_point(self, level: float, answer: Any) -> None:
-        values = {name: value for name, value in zip(SOURCE, answer.values, strict=False) if value.type}
+        values = {
+            name: value
+            for name, value in zip(SOURCE, answer.values, strict=False)
+            if value.type
+        }
         if len(values) < len(SOURCE):
-            self._state.notify(False, "the controller does not report which set-points it follows")
+            self._state.notify(
+                False, "the controller does not report which set-points it follows"
+            )
             return
         unit = self._state.described.reference.unit
         low = values["profile.lowest"].double_value
@@ -197,7 +233,10 @@ class Requests:
             why = f"{level:g} {unit} not set: the controller allows {low:g} to {high:g} {unit}"
             self._state.notify(False, why)
         elif self._reference is None:
-            self._state.notify(False, "not set: neither a sample nor a description of the plant has come yet")
+            self._state.notify(
+                False,
+                "not set: neither a sample nor a description of the plant has come yet",
+            )
         else:
             self._reference.publish(Float64(data=level))
             confirmation = f"requested {level:g} {unit}; the set-point above follows with the next sample"
@@ -225,7 +264,9 @@ class Requests:
 
         def done(future: Any) -> None:
             answer = future.result()
-            if answer is not None and self._node.entrance.passes(client.srv_name, answer):
+            if answer is not None and self._node.entrance.passes(
+                client.srv_name, answer
+            ):
                 take_answer(answer)
 
         self._run_in_node(call)
@@ -235,7 +276,9 @@ class Requests:
 
     def _show_profile(self, answer: Any) -> None:
         confirmation = "the controller's profile continues where it was"
-        self._state.notify(answer.result.successful, answer.result.reason or confirmation)
+        self._state.notify(
+            answer.result.successful, answer.result.reason or confirmation
+        )
 
     def _show_rate_result(self, answer: Any) -> None:
         for result in answer.results:

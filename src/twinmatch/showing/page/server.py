@@ -69,7 +69,9 @@ class PageServer:
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
         if not self._ready.wait(PATIENCE):
-            raise ServingError(f"dashboard: the page's server did not start within {PATIENCE:g} s; try again")
+            raise ServingError(
+                f"dashboard: the page's server did not start within {PATIENCE:g} s; try again"
+            )
 
     @property
     def url(self) -> str:
@@ -103,13 +105,16 @@ class PageServer:
 
     def _serve(self, loop: IOLoop) -> None:
         logging.getLogger("bokeh").setLevel(logging.WARNING)
-        for name in ("tornado.access", "tornado.general"):  # requests of others do not belong into this log
+        for name in ("tornado.access", "tornado.general"):
+            # requests of others do not belong into this log
             logging.getLogger(name).setLevel(logging.CRITICAL)
         settings.resources = "server"  # whatever BOKEH_RESOURCES says
         settings.allowed_ws_origin = None  # nor does BOKEH_ALLOW_WS_ORIGIN
         application = Application(FunctionHandler(self._fill))
         tornado = _Guarded(self._hosts, application, self.url, self._metrics)
-        http = HTTPServer(tornado, max_header_size=LARGEST_REQUEST, max_body_size=LARGEST_REQUEST)
+        http = HTTPServer(
+            tornado, max_header_size=LARGEST_REQUEST, max_body_size=LARGEST_REQUEST
+        )
         http.add_socket(self._socket)
         self._server = BaseServer(loop, tornado, http)
         self._server.start()
@@ -121,7 +126,11 @@ class _Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh has no types
     """Bokeh's application behind a check of every request: of page, websocket and what they load."""
 
     def __init__(
-        self, hosts: Hosts, application: Application, url: str, metrics: Callable[[], bytes]
+        self,
+        hosts: Hosts,
+        application: Application,
+        url: str,
+        metrics: Callable[[], bytes],
     ) -> None:
         """Answer to these hosts. A websocket needs a token that this server has signed."""
         self._hosts = hosts
@@ -144,7 +153,9 @@ class _Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh has no types
         if refused is None:
             return super().find_handler(request)
         status, why = refused
-        return self.get_handler_delegate(request, _Refusal, {"status": status, "why": why})
+        return self.get_handler_delegate(
+            request, _Refusal, {"status": status, "why": why}
+        )
 
     def _refusal(self, request: HTTPServerRequest) -> tuple[HTTPStatus, str] | None:
         """Status and sentence with which a request is refused; None if it is answered."""
@@ -152,23 +163,46 @@ class _Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh has no types
         why = self._hosts.refusal(headers.get("Host"), headers.get("Origin"))
         if why:
             return HTTPStatus.FORBIDDEN, why
-        if headers.get("Sec-Fetch-Site") == "cross-site" and headers.get("Sec-Fetch-Dest") != "document":
-            return HTTPStatus.FORBIDDEN, "a page of another site may not use this one; open it in a tab"
+        if (
+            headers.get("Sec-Fetch-Site") == "cross-site"
+            and headers.get("Sec-Fetch-Dest") != "document"
+        ):
+            return (
+                HTTPStatus.FORBIDDEN,
+                "a page of another site may not use this one; open it in a tab",
+            )
         if PATHS.fullmatch(request.path) is None:
-            return HTTPStatus.NOT_FOUND, "there is nothing of this name here; the page is at /"
-        if "Bokeh-Session-Id" in headers or any(name.startswith("bokeh-") for name in request.arguments):
-            return HTTPStatus.FORBIDDEN, "a session cannot be chosen here; the page is at /"
-        if request.path == "/ws" and not self._has_token(headers.get("Sec-WebSocket-Protocol", "")):
-            return HTTPStatus.FORBIDDEN, "this needs the token of a page that was loaded from here; reload it"
+            return (
+                HTTPStatus.NOT_FOUND,
+                "there is nothing of this name here; the page is at /",
+            )
+        if "Bokeh-Session-Id" in headers or any(
+            name.startswith("bokeh-") for name in request.arguments
+        ):
+            return (
+                HTTPStatus.FORBIDDEN,
+                "a session cannot be chosen here; the page is at /",
+            )
+        if request.path == "/ws" and not self._has_token(
+            headers.get("Sec-WebSocket-Protocol", "")
+        ):
+            return (
+                HTTPStatus.FORBIDDEN,
+                "this needs the token of a page that was loaded from here; reload it",
+            )
         return None
 
     def _has_token(self, protocols: str) -> bool:
         """Whether a websocket is asked for with a token of this server that has not expired."""
         kind, _, token = protocols.partition(",")
         try:
-            good = check_token_signature(token.strip(), secret_key=self._key, signed=True)
+            good = check_token_signature(
+                token.strip(), secret_key=self._key, signed=True
+            )
             return (
-                kind == "bokeh" and good and get_token_payload(token.strip())["session_expiry"] > time.time()
+                kind == "bokeh"
+                and good
+                and get_token_payload(token.strip())["session_expiry"] > time.time()
             )
         except Exception:  # Bokeh decodes the token before it looks at the signature
             return False

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 class Shown:
     """Shows a state to those who look; the program that receives samples and verdicts puts them into it."""
 
-    def __init__(self, described: Description, settings: Callable[[], TwinSettings]) -> None:
+    def __init__(
+        self, described: Description, settings: Callable[[], TwinSettings]
+    ) -> None:
         """Begin with an empty state of a plant, shown to nobody; `settings` returns those of the twin."""
         self.state = DashboardState(described=described)
         self._settings = settings
@@ -31,14 +33,18 @@ class Shown:
         self._outlet: MqttOutlet | None = None
 
     def serve(
-        self, requests: Requests, port: int, address: str = "127.0.0.1", hosts: Hosts | None = None
+        self,
+        requests: Requests,
+        port: int,
+        address: str = "127.0.0.1",
+        hosts: Hosts | None = None,
     ) -> None:
         """Serve the page, and print where; `requests` is what can be asked for on it.
 
         Raises:
             ServingError: address or port cannot be used.
         """
-        from twinmatch.showing.page.server import PageServer  # noqa: PLC0415 — only a page needs Bokeh
+        from twinmatch.showing.page.server import PageServer  # noqa: PLC0415
         from twinmatch.showing.page.tab import Tab  # noqa: PLC0415
 
         state = self.state
@@ -118,4 +124,6 @@ def outlet_to(url: str, rig: str = "") -> MqttOutlet:
 
 def _require(package: str, use: str) -> None:
     if find_spec(package) is None:
-        raise ServingError(f"{use} needs {package}, which is not installed; pip install 'twinmatch[outlets]'")
+        raise ServingError(
+            f"{use} needs {package}, which is not installed; pip install 'twinmatch[outlets]'"
+        )

@@ -176,7 +176,9 @@ class DashboardState:
     another recording is played.
     """
 
-    def __init__(self, capacity: int = CAPACITY, described: Description = UNDESCRIBED) -> None:
+    def __init__(
+        self, capacity: int = CAPACITY, described: Description = UNDESCRIBED
+    ) -> None:
         """Start empty; `capacity` samples are kept."""
         self.lock = threading.RLock()
         self._capacity = capacity
@@ -246,7 +248,11 @@ class DashboardState:
         """The newest forecast; None if it starts at a sample that this session has not reached."""
         last = self.plant.last
         forecast = self.forecast
-        return None if forecast is None or last is None or forecast.sample > last else forecast
+        return (
+            None
+            if forecast is None or last is None or forecast.sample > last
+            else forecast
+        )
 
     @property
     def leader(self) -> str:
@@ -265,14 +271,18 @@ class DashboardState:
                 self._loops = loops
                 capacity = self._capacity
                 self.plant = RollingTable(_columns_of_loops(LOOP, loops), capacity)
-                self.twin = RollingTable(_columns_of_loops(TwinRow._fields, loops), capacity)
+                self.twin = RollingTable(
+                    _columns_of_loops(TwinRow._fields, loops), capacity
+                )
 
     @property
     def read_through(self) -> list[EstimatedReading]:
         """What the sensors that are not believed should read now."""
         newest = self.sample or 0
         return [
-            estimate for estimate in self.estimates.values() if newest - estimate.sample <= ESTIMATE_SHOWN
+            estimate
+            for estimate in self.estimates.values()
+            if newest - estimate.sample <= ESTIMATE_SHOWN
         ]
 
     def push_sample(self, sample: Sample, now: float) -> None:
@@ -287,7 +297,10 @@ class DashboardState:
             elif previous is not None:
                 self._note_interval(sample, previous)
             begins_session = self.sample is None
-            self.plant.push(sample.index, self._spread((sample.references, sample.outputs, sample.inputs)))
+            self.plant.push(
+                sample.index,
+                self._spread((sample.references, sample.outputs, sample.inputs)),
+            )
             self._previous = sample
             self.received_at = now
             if begins_session:
@@ -303,7 +316,11 @@ class DashboardState:
     def _spread(self, kinds: Iterable[Sequence[float]]) -> list[float]:
         """One value per loop of each kind: a kind with fewer values than there are loops repeats its last
         one."""
-        return [values[min(k, len(values) - 1)] for values in kinds for k in range(self._loops)]
+        return [
+            values[min(k, len(values) - 1)]
+            for values in kinds
+            for k in range(self._loops)
+        ]
 
     def push_estimate(self, estimate: EstimatedReading) -> None:
         """Take what a sensor should read."""
@@ -314,15 +331,28 @@ class DashboardState:
         """Take what an experiment has come to."""
         mark = Mark.BAD if report.phase is ExperimentPhase.REFUSED else Mark.NOTE
         with self.lock:
-            self._note(EventKind.NODE, mark, "experiment", report_words(report, self.described))
+            self._note(
+                EventKind.NODE, mark, "experiment", report_words(report, self.described)
+            )
             if report.phase is not ExperimentPhase.RUNNING:
-                self.notice = Notice(mark is Mark.NOTE, report_words(report, self.described))
+                self.notice = Notice(
+                    mark is Mark.NOTE, report_words(report, self.described)
+                )
 
     def push_law(self, report: LawReport) -> None:
         """Take what has become of a law on trial."""
-        mark = Mark.BAD if report.phase in {TrialPhase.REFUSED, TrialPhase.BACK} else Mark.NOTE
+        mark = (
+            Mark.BAD
+            if report.phase in {TrialPhase.REFUSED, TrialPhase.BACK}
+            else Mark.NOTE
+        )
         with self.lock:
-            self._note(EventKind.NODE, mark, f"law on trial: {report.phase.value}", report.reason)
+            self._note(
+                EventKind.NODE,
+                mark,
+                f"law on trial: {report.phase.value}",
+                report.reason,
+            )
 
     def push_verdict(self, verdict: Verdict) -> None:
         """Take a verdict."""
@@ -364,7 +394,9 @@ class DashboardState:
             self.forecast = forecast
             self.forecast_changes += 1
 
-    def question(self, level: float, hold: float | None) -> tuple[str, list[float], list[float]]:
+    def question(
+        self, level: float, hold: float | None
+    ) -> tuple[str, list[float], list[float]]:
         """A what-if question in words, with its times (s) and set-points: at a level, and back after a time
         (s)."""
         question = f"set-point {level:g} {self.described.reference.unit}"
@@ -388,18 +420,26 @@ class DashboardState:
                 return
             fault = fault_of_drive(drive.fault)
             if fault is not None:
-                self._note(EventKind.FAULT, Mark.BAD, fault.called, fault.reason, drive.stamp)
+                self._note(
+                    EventKind.FAULT, Mark.BAD, fault.called, fault.reason, drive.stamp
+                )
             else:
                 why = "the output may be driven"
-                self._note(EventKind.FAULT, Mark.GOOD, "fault cleared", why, drive.stamp)
+                self._note(
+                    EventKind.FAULT, Mark.GOOD, "fault cleared", why, drive.stamp
+                )
 
-    def push_health(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
+    def push_health(
+        self, name: str, level: int, message: str, values: Mapping[str, str], now: float
+    ) -> None:
         """Take a report from /diagnostics: name, level of REP 107, message and values."""
         with self.lock:
             change = self.nodes.push(name, level, message, values, now)
             plain = name.removesuffix(": health")
             if change == "error":
-                self._note(EventKind.NODE, Mark.BAD, f"{plain} reports an error", message)
+                self._note(
+                    EventKind.NODE, Mark.BAD, f"{plain} reports an error", message
+                )
             elif change == "recovered":
                 self._note(EventKind.NODE, Mark.GOOD, f"{plain} has recovered", message)
 
@@ -447,12 +487,21 @@ class DashboardState:
 
     def _note_interval(self, sample: Sample, previous: Sample) -> None:
         """Compute the sampling period from one more interval between samples."""
-        interval = (sample.stamp - previous.stamp) / 1e9 / (sample.index - previous.index)
+        interval = (
+            (sample.stamp - previous.stamp) / 1e9 / (sample.index - previous.index)
+        )
         if interval > 0:
             self._intervals.append(interval)
             self.period = float(f"{median(self._intervals):.2g}")
 
-    def _note(self, kind: EventKind, mark: Mark, title: str, why: str, stamp: int | None = None) -> None:
+    def _note(
+        self,
+        kind: EventKind,
+        mark: Mark,
+        title: str,
+        why: str,
+        stamp: int | None = None,
+    ) -> None:
         """Log an event of this moment, or of its stamp (ns)."""
         event = Event(self.sample, kind, title, why, mark, stamp=stamp)
         newest = self._previous
@@ -463,7 +512,10 @@ class DashboardState:
 
     def _date(self, first: Sample) -> None:
         """Give the events that were received before the session's first sample its date."""
-        dated = (event.dated(first) if event.sample is None else event for event in self.events)
+        dated = (
+            event.dated(first) if event.sample is None else event
+            for event in self.events
+        )
         self.events = deque(dated, maxlen=EVENTS)
 
     def _log(self, event: Event) -> None:
@@ -496,21 +548,27 @@ def update_sentence(state: DashboardState, settings: TwinSettings) -> None:
             settings_at_period = replace(settings, period=period, law=law)
             without_gaps = filled_stretches(samples, settings_at_period, taught)
             longest = max(without_gaps, key=len)
-            summary = conclude(tally, lambda: (longest, len(without_gaps)), law, period=period)
+            summary = conclude(
+                tally, lambda: (longest, len(without_gaps)), law, period=period
+            )
             summed_up = sentence(summary)
     with state.lock:
         if state.verdict is verdict:
             state.sentence = summed_up
 
 
-def _samples_in(columns: Mapping[str, NDArray[Any]], shape: tuple[int, int, int]) -> list[Sample]:
+def _samples_in(
+    columns: Mapping[str, NDArray[Any]], shape: tuple[int, int, int]
+) -> list[Sample]:
     """The samples in columns of set-points, outputs and inputs, so many of each, without the gaps (NaN)."""
     rows_of_kinds = []
     for name, size in zip(LOOP, shape, strict=True):
         signals = [columns[nth(name, k)].tolist() for k in range(size)]
         rows_of_kinds.append(zip(*signals, strict=True))
     samples = []
-    for index, references, outputs, inputs in zip(columns["index"].tolist(), *rows_of_kinds, strict=True):
+    for index, references, outputs, inputs in zip(
+        columns["index"].tolist(), *rows_of_kinds, strict=True
+    ):
         if not math.isnan(references[0]):
             samples.append(Sample(int(index), int(index), references, outputs, inputs))
     return samples

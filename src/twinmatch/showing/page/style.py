@@ -30,7 +30,12 @@ MARKS = {
 """Colours of the marks in charts."""
 MARK_SIGNS = {Mark.GOOD: "●", Mark.NOTE: "◆", Mark.WARNING: "▲", Mark.BAD: "✕"}
 """The same marks in text."""
-MARK_INKS = {Mark.GOOD: "#00664B", Mark.NOTE: SET_POINT, Mark.WARNING: "#8A5A00", Mark.BAD: "#B3001B"}
+MARK_INKS = {
+    Mark.GOOD: "#00664B",
+    Mark.NOTE: SET_POINT,
+    Mark.WARNING: "#8A5A00",
+    Mark.BAD: "#B3001B",
+}
 """Colours of the marks, dark enough for text."""
 DARK = (TrustLevel.UNKNOWN, TrustLevel.TRUSTED, TrustLevel.DOUBTFUL)
 """Levels with dark text on their colour, for a contrast of at least 4.5."""
@@ -41,7 +46,12 @@ BUTTONS = """
 .bk-btn:focus-visible, .bk-input:focus-visible { outline: 3px solid #1a1a1a; outline-offset: 2px; }
 """
 """Buttons in the colours of the page, with a contrast of at least 4.5 and a ring for the keyboard focus."""
-SHAPES = {Mark.GOOD: "circle", Mark.NOTE: "diamond", Mark.WARNING: "triangle", Mark.BAD: "x"}
+SHAPES = {
+    Mark.GOOD: "circle",
+    Mark.NOTE: "diamond",
+    Mark.WARNING: "triangle",
+    Mark.BAD: "x",
+}
 """Markers of the time line: their shape distinguishes them without colour."""
 
 
@@ -50,7 +60,12 @@ def _letters(kind: str) -> dict[str, object]:
     return {f"{kind}_text_font": FONT, f"{kind}_text_font_size": "12px"}
 
 
-_BORDERS = {"min_border_left": 78, "min_border_right": 12, "min_border_top": 4, "min_border_bottom": 4}
+_BORDERS = {
+    "min_border_left": 78,
+    "min_border_right": 12,
+    "min_border_top": 4,
+    "min_border_bottom": 4,
+}
 _ATTRIBUTES = {
     "Plot": {
         "background_fill_color": "#FFFFFF",
@@ -68,10 +83,19 @@ _ATTRIBUTES = {
     "Grid": {"grid_line_color": GRID, "grid_line_alpha": 0.7},
     "Legend": {
         **_letters("label"),
-        **{"border_line_color": None, "background_fill_alpha": 0.0, "padding": 0, "margin": 0},
+        **{
+            "border_line_color": None,
+            "background_fill_alpha": 0.0,
+            "padding": 0,
+            "margin": 0,
+        },
         **{"spacing": 14, "glyph_width": 22},
     },
-    "BaseColorBar": {**_letters("major_label"), **_letters("title"), "title_text_font_style": "normal"},
+    "BaseColorBar": {
+        **_letters("major_label"),
+        **_letters("title"),
+        "title_text_font_style": "normal",
+    },
 }
 THEME = Theme(json={"attrs": _ATTRIBUTES})
 
@@ -80,4 +104,10 @@ _STYLE = Path(__file__).with_name("panel.css").read_text(encoding="utf-8")
 
 def panel(name: str, html: str = "") -> Div:
     """An HTML element that fills its card; `name` is its place in the template."""
-    return Div(name=name, text=html, margin=0, sizing_mode="stretch_width", stylesheets=[_STYLE])
+    return Div(
+        name=name,
+        text=html,
+        margin=0,
+        sizing_mode="stretch_width",
+        stylesheets=[_STYLE],
+    )

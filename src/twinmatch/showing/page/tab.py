@@ -9,11 +9,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bokeh.document import Document
-from bokeh.models import Button, CustomJS, Div, NumericInput, RadioButtonGroup, Row, Toggle
+from bokeh.models import (
+    Button,
+    CustomJS,
+    Div,
+    NumericInput,
+    RadioButtonGroup,
+    Row,
+    Toggle,
+)
 
 from twinmatch.comparing import TrustLevel
 from twinmatch.showing.page import panels
-from twinmatch.showing.page.charts import ChartFeed, TimeCharts, bands, draw_in_view, seconds_ahead
+from twinmatch.showing.page.charts import (
+    ChartFeed,
+    TimeCharts,
+    bands,
+    draw_in_view,
+    seconds_ahead,
+)
 from twinmatch.showing.page.health import PlayerState
 from twinmatch.showing.page.heatmaps import GapMatrix, ThermalImage
 from twinmatch.showing.page.state import DashboardState
@@ -42,7 +56,9 @@ def _button(label: str, width: int, kind: str, on_click: Callable[[], None]) -> 
 
 
 def _number_field(title: str, width: int, **limits: float) -> NumericInput:
-    return NumericInput(title=title, mode="float", width=width, stylesheets=[BUTTONS], **limits)
+    return NumericInput(
+        title=title, mode="float", width=width, stylesheets=[BUTTONS], **limits
+    )
 
 
 class PlayerButtons:
@@ -57,7 +73,14 @@ class PlayerButtons:
         self._rate = RadioButtonGroup(labels=names, active=None, stylesheets=[BUTTONS])
         self._rate.on_change("active", self._on_rate)
         styles = {"flex-wrap": "wrap"}
-        self.root = Row(self._pause, self._rate, name="player", spacing=8, visible=False, styles=styles)
+        self.root = Row(
+            self._pause,
+            self._rate,
+            name="player",
+            spacing=8,
+            visible=False,
+            styles=styles,
+        )
 
     def update(self, player: PlayerState | None) -> None:
         """Show the state that the player reports."""
@@ -67,14 +90,20 @@ class PlayerButtons:
         self.root.visible = player is not None
         if player is not None:
             self._pause.label = "Continue" if player.paused else "Pause"
-            self._rate.active = RATES.index(player.rate) if player.rate in RATES else None
+            self._rate.active = (
+                RATES.index(player.rate) if player.rate in RATES else None
+            )
 
     def _on_pause(self) -> None:
         if self._player is not None:
             self._requests.pause(not self._player.paused)
 
     def _on_rate(self, _name: str, _old: Any, new: int | None) -> None:
-        if self._player is not None and new is not None and RATES[new] != self._player.rate:
+        if (
+            self._player is not None
+            and new is not None
+            and RATES[new] != self._player.rate
+        ):
             self._requests.rate(RATES[new])
 
 
@@ -85,10 +114,17 @@ def question_form(requests: Requests, label: str) -> Row:
 
     def ask() -> None:
         if level.value is not None:
-            requests.what_if(float(level.value), None if hold.value is None else float(hold.value))
+            requests.what_if(
+                float(level.value), None if hold.value is None else float(hold.value)
+            )
 
     return Row(
-        level, hold, _button("Ask", 70, "primary", ask), name="question", spacing=8, styles=_FORM_STYLES
+        level,
+        hold,
+        _button("Ask", 70, "primary", ask),
+        name="question",
+        spacing=8,
+        styles=_FORM_STYLES,
     )
 
 
@@ -105,8 +141,15 @@ def rig_form(requests: Requests, label: str) -> Row:
 
     buttons = (
         _button("Set", 70, "primary", ask),
-        _button("What next?", 110, "default", lambda: requests.next_experiment(run=False)),
-        _button("Run what is next", 140, "warning", lambda: requests.next_experiment(run=True)),
+        _button(
+            "What next?", 110, "default", lambda: requests.next_experiment(run=False)
+        ),
+        _button(
+            "Run what is next",
+            140,
+            "warning",
+            lambda: requests.next_experiment(run=True),
+        ),
         _button("Stop it", 80, "default", lambda: requests.next_experiment(stop=True)),
         _button("Profile on", 110, "default", requests.continue_profile),
         _button("Law before", 110, "default", requests.law_back),
@@ -138,7 +181,10 @@ class Tab:
     """One tab. Nothing in it grows: charts drop their oldest points, texts are replaced."""
 
     def __init__(
-        self, state: DashboardState, requests: Requests, clock: Callable[[], float] = time.monotonic
+        self,
+        state: DashboardState,
+        requests: Requests,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Show a state; `clock` is the one that its times are taken from."""
         self._state = state
@@ -151,7 +197,16 @@ class Tab:
         self._matrix = GapMatrix()
         self._thermal = ThermalImage()
         names = (
-            *("status", "alarm", "first", "reasons", "tiles", "family", "events", "nodes"),
+            *(
+                "status",
+                "alarm",
+                "first",
+                "reasons",
+                "tiles",
+                "family",
+                "events",
+                "nodes",
+            ),
             *("matrix_note", "chart_note", "answer"),
         )
         self._texts: dict[str, Div] = {name: panel(name) for name in names}
@@ -171,9 +226,15 @@ class Tab:
 
     def build(self, document: Document) -> None:
         """Make the document, and keep it up to date for as long as its tab is open."""
-        roots = [*self._charts.figures, self._matrix.figure, self._thermal.root, *self._texts.values()]
+        roots = [
+            *self._charts.figures,
+            self._matrix.figure,
+            self._thermal.root,
+            *self._texts.values(),
+        ]
         roots += [self._all_orders, self._span, self._player.root, *self._forms]
-        with document.models.freeze():  # otherwise every root scans the whole document again
+        with document.models.freeze():
+            # otherwise every root scans the whole document again
             for root in roots:
                 document.add_root(root)
         title = self._described.title
@@ -181,11 +242,21 @@ class Tab:
         self._texts["status"].js_on_change("tags", CustomJS(code="location.reload()"))
         document.theme = THEME
         document.template = _TEMPLATE.read_text(encoding="utf-8")
-        colours = {"ink": TEXT, "good": LEVELS[TrustLevel.TRUSTED], "fault": LEVELS[TrustLevel.FAULT]}
-        shown = {"control": self._control, "plant_title": title, "font": FONT, **colours}
+        colours = {
+            "ink": TEXT,
+            "good": LEVELS[TrustLevel.TRUSTED],
+            "fault": LEVELS[TrustLevel.FAULT],
+        }
+        shown = {
+            "control": self._control,
+            "plant_title": title,
+            "font": FONT,
+            **colours,
+        }
         shown |= {"charts": self._charts.rows, "asks": len(self._charts.rows[0]) == 1}
         document.template_variables.update(shown)
-        document.config.reconnect_session = False  # a restarted server does not know the old session
+        # a restarted server does not know the old session
+        document.config.reconnect_session = False
         document.js_on_event("document_ready", self._charts.fit_to_narrow)
         unseen = [*self._charts.outside_time, self._matrix.figure, self._thermal.figure]
         document.js_on_event("document_ready", draw_in_view(unseen))
@@ -208,13 +279,19 @@ class Tab:
             self._update_family()
             self._draw_image(now)
             self._player.update(state.nodes.player)
-            if self._changed("described", state.described) and state.described != self._described:
-                self._texts["status"].tags = [state.described.plant]  # reloads the page, with these names
+            if (
+                self._changed("described", state.described)
+                and state.described != self._described
+            ):
+                # reloads the page, with these names
+                self._texts["status"].tags = [state.described.plant]
 
     def _samples_shown(self) -> int:
         """How many of the newest samples the charts show."""
         state = self._state
-        _, seconds = SPANS[DEFAULT_SPAN if self._span.active is None else self._span.active]
+        _, seconds = SPANS[
+            DEFAULT_SPAN if self._span.active is None else self._span.active
+        ]
         if not seconds:
             return state.plant.capacity
         return min(state.plant.capacity, max(1, round(seconds / state.period)))
@@ -223,11 +300,18 @@ class Tab:
         """Show the events, as marks and in a table."""
         state = self._state
         has_begun = state.sample is not None
-        if not self._changed("happened", (state.verdicts, state.event_count, state.period, has_begun)):
+        if not self._changed(
+            "happened", (state.verdicts, state.event_count, state.period, has_begun)
+        ):
             return
-        of_session = [event for event in reversed(state.events) if event.session == state.session]
+        of_session = [
+            event for event in reversed(state.events) if event.session == state.session
+        ]
         self._charts.draw_events(state.tally.stretches, of_session, state.period)
-        self._show("events", panels.events_table(reversed(state.events), state.session, state.period))
+        self._show(
+            "events",
+            panels.events_table(reversed(state.events), state.session, state.period),
+        )
 
     def _update_family(self) -> None:
         """Show the ν-gaps and the table of the candidates."""
@@ -245,7 +329,9 @@ class Tab:
         """Show the newest `span` seconds, and the forecast after them."""
         state = self._state
         forecast = self._state.current_forecast
-        if self._changed("forecast", (span, state.forecast_changes, state.period, forecast is None)):
+        if self._changed(
+            "forecast", (span, state.forecast_changes, state.period, forecast is None)
+        ):
             most = seconds_ahead(span)
             what_if = None if state.what_if is None else state.what_if.forecast
             self._charts.draw_forecasts(forecast, what_if, state.period, most)
@@ -266,7 +352,9 @@ class Tab:
         self._show("status", panels.status(state, now))
         self._show("alarm", panels.alarm(state))
         self._show("first", panels.first_screen(state))
-        self._show("reasons", panels.reasons(state.verdict, state.period, state.sentence))
+        self._show(
+            "reasons", panels.reasons(state.verdict, state.period, state.sentence)
+        )
         self._show("tiles", panels.tiles(state))
         self._show("nodes", panels.nodes(state.nodes, now))
         self._charts.show(measured=state.plant.count > 0, mirrored=state.twin.count > 0)

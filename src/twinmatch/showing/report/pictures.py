@@ -59,11 +59,16 @@ class Picture:
     @property
     def uri(self) -> str:
         """The figure as a data URI, so that the HTML file loads nothing else."""
-        return "data:image/svg+xml;base64," + base64.b64encode(self.svg.encode()).decode("ascii")
+        return "data:image/svg+xml;base64," + base64.b64encode(
+            self.svg.encode()
+        ).decode("ascii")
 
 
 def pictures(
-    judgement: Judgement, members: Sequence[Member], tests: Sequence[Backtest], work: Beside
+    judgement: Judgement,
+    members: Sequence[Member],
+    tests: Sequence[Backtest],
+    work: Beside,
 ) -> dict[str, Picture]:
     """All figures of a session and its family, by name and in the order of the report.
 
@@ -71,12 +76,17 @@ def pictures(
     """
     planned = [*_of_session(judgement)]
     for k, tested in enumerate(tests):
-        planned += _of_forecasts(judgement, tested, k, f"_{next(iter(tested.plant.outputs))}" if k else "")
+        planned += _of_forecasts(
+            judgement, tested, k, f"_{next(iter(tested.plant.outputs))}" if k else ""
+        )
     planned += _of_family(judgement, members)
     queue = sorted(planned, key=lambda picture: _QUEUE.get(picture.name, 0))
     tasks = [(picture.name, work.give(_svg, picture.draw)) for picture in queue]
-    drawn = {name: result() for name, result in reversed(tasks)}  # this process begins with the last
-    return {picture.name: replace(picture, svg=drawn[picture.name]) for picture in planned}
+    # this process begins with the last
+    drawn = {name: result() for name, result in reversed(tasks)}
+    return {
+        picture.name: replace(picture, svg=drawn[picture.name]) for picture in planned
+    }
 
 
 def _svg(draw: Callable[[], Figure]) -> str:
@@ -91,12 +101,21 @@ def _of_session(j: Judgement) -> Iterator[Picture]:
     draw = partial(draw_health, j.samples, j.matches, j.verdicts, j.settings)
     yield Picture("health", "Health over time", _health_alt(j), draw)
     if j.estimates:
-        draw = partial(draw_estimates, j.estimates, j.settings.period, j.samples[-1].index + 1)
+        draw = partial(
+            draw_estimates, j.estimates, j.settings.period, j.samples[-1].index + 1
+        )
         alt = "; ".join(course.line(j.settings.period) for course in j.estimates)
-        yield Picture("estimates", "What sensors should have read that were not believed", alt, draw)
+        yield Picture(
+            "estimates",
+            "What sensors should have read that were not believed",
+            alt,
+            draw,
+        )
 
 
-def _of_forecasts(j: Judgement, tested: Backtest, k: int, ending: str) -> Iterator[Picture]:
+def _of_forecasts(
+    j: Judgement, tested: Backtest, k: int, ending: str
+) -> Iterator[Picture]:
     """The figures of the forecasts of the k-th output; `ending` is added to their names."""
     if not tested.marked:
         return
@@ -104,17 +123,26 @@ def _of_forecasts(j: Judgement, tested: Backtest, k: int, ending: str) -> Iterat
         "Errors and coverage of every forecaster by horizon, and the leader's forecasts with their "
         f"bands, compared with the measurements. {' '.join(backtest_words(tested))}"
     )
-    of_output = "" if j.settings.plant.single else f": {signal_names(tested.plant).output}"
+    of_output = (
+        "" if j.settings.plant.single else f": {signal_names(tested.plant).output}"
+    )
     title = f"Forecasts compared with measurements{of_output}"
     yield Picture(f"forecasts{ending}", title, alt, partial(draw_backtest, tested))
     if fans := fans_of(tested, j, k):
-        origins = ", ".join(f"{shown.forecast.sample} by {shown.forecast.candidate}" for shown in fans)
+        origins = ", ".join(
+            f"{shown.forecast.sample} by {shown.forecast.candidate}" for shown in fans
+        )
         alt = (
             "Forecasts with their bands, the measurements before and after, and measured minus forecast "
             f"within the band. Made at samples {origins}."
         )
         draw = partial(draw_forecasts, fans, tested.plant)
-        yield Picture(f"leader_forecasts{ending}", f"Forecasts of the leader{of_output}", alt, draw)
+        yield Picture(
+            f"leader_forecasts{ending}",
+            f"Forecasts of the leader{of_output}",
+            alt,
+            draw,
+        )
 
 
 def _of_family(j: Judgement, members: Sequence[Member]) -> Iterator[Picture]:
@@ -125,7 +153,9 @@ def _of_family(j: Judgement, members: Sequence[Member]) -> Iterator[Picture]:
             f"Value and 95 % interval of every fitted parameter at each of {len(j.matches)} matches; refused "
             "ones hollow, the nominal one as a diamond."
         )
-        draw = partial(draw_parameters, j.matches, admitted(j.verdicts), nominal, j.settings.period)
+        draw = partial(
+            draw_parameters, j.matches, admitted(j.verdicts), nominal, j.settings.period
+        )
         yield Picture("parameters", "Parameters of every match", alt, draw)
     if members:
         names = ", ".join(m.score.name for m in members)
@@ -135,22 +165,41 @@ def _of_family(j: Judgement, members: Sequence[Member]) -> Iterator[Picture]:
             f"One panel for each candidate ({names}): set-point, measured {output} and control, the response "
             f"of the twin{model}."
         )
-        yield Picture("responses", "The family on the measured data", alt, partial(draw_responses, members))
+        yield Picture(
+            "responses",
+            "The family on the measured data",
+            alt,
+            partial(draw_responses, members),
+        )
         alt = (
             f"The twins of all candidates ({names}) on the window of the nominal one, and the differences "
             f"from the nominal twin in {output} and control."
         )
-        yield Picture("uncertainty", "Uncertainty of the twin", alt, partial(draw_uncertainty, members))
+        yield Picture(
+            "uncertainty",
+            "Uncertainty of the twin",
+            alt,
+            partial(draw_uncertainty, members),
+        )
     last = last_verdict(j.verdicts)
     if last is not None and last.modelled:
         chosen = ((c.name, score) for c in last.modelled if (score := chosen_score(c)))
-        gains = ", ".join(f"{n}: order {o.order}, gain {o.total.gain} characters" for n, o in chosen)
+        gains = ", ".join(
+            f"{n}: order {o.order}, gain {o.total.gain} characters" for n, o in chosen
+        )
         alt = f"Bars for every candidate and order. {gains}."
-        yield Picture("criteria", "Criteria of the orders", alt, partial(draw_criteria, last))
+        yield Picture(
+            "criteria", "Criteria of the orders", alt, partial(draw_criteria, last)
+        )
     if last is not None:
         sums = ", ".join(f"{c.name} {c.nu_gap_sum:.2f}" for c in last.candidates)
         alt = f"Shaded matrix of the ν-gaps between the plants. Sums: {sums}. Nominal: {last.nominal}."
-        yield Picture("nu_gap", "ν-gap between the plants of the family", alt, partial(draw_matrix, last))
+        yield Picture(
+            "nu_gap",
+            "ν-gap between the plants of the family",
+            alt,
+            partial(draw_matrix, last),
+        )
 
 
 def fans_of(tested: Backtest, judgement: Judgement, k: int = 0) -> tuple[Fan, ...]:
@@ -163,7 +212,10 @@ def fans_of(tested: Backtest, judgement: Judgement, k: int = 0) -> tuple[Fan, ..
         return float(np.ptp(values)) if values.size else 0.0
 
     hardest = sorted(tested.shown, key=moved, reverse=True)[:_SHOWN]
-    return tuple(fan(forecast, stretches_of_output) for forecast in sorted(hardest, key=lambda f: f.sample))
+    return tuple(
+        fan(forecast, stretches_of_output)
+        for forecast in sorted(hardest, key=lambda f: f.sample)
+    )
 
 
 def write_pictures(named: dict[str, Picture], folder: Path, ending: str) -> list[Path]:
@@ -175,7 +227,9 @@ def write_pictures(named: dict[str, Picture], folder: Path, ending: str) -> list
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        msg = f"{folder}: the folder for the figures cannot be created: {error.strerror}"
+        msg = (
+            f"{folder}: the folder for the figures cannot be created: {error.strerror}"
+        )
         raise TwinmatchError(msg) from error
     paths = {folder / f"{name}.{ending}": picture for name, picture in named.items()}
     for path, picture in paths.items():
@@ -190,7 +244,8 @@ def _session_alt(j: Judgement) -> str:
     closed = j.settings.law is not None
     set_point = "set-point, " if closed else ""
     measured = [
-        f"{y} ({y.text(min(values), max(values))})" for y, values in zip(outputs, readings, strict=True)
+        f"{y} ({y.text(min(values), max(values))})"
+        for y, values in zip(outputs, readings, strict=True)
     ]
     signals = number_list([*measured, *map(str, inputs)])
     base = f"Time series of {set_point}measured {signals}"
@@ -200,7 +255,10 @@ def _session_alt(j: Judgement) -> str:
     twins = "the driven twin"
     fitted = "driven"
     fit_of_output = j.summary.fits.outputs if j.summary.fits else ()
-    fits = [f"{y} to {100 * share:.1f}" for y, share in zip(outputs, fit_of_output, strict=True)]
+    fits = [
+        f"{y} to {100 * share:.1f}"
+        for y, share in zip(outputs, fit_of_output, strict=True)
+    ]
     if closed:
         twins = "the closed-loop and the driven twin"
         fitted = "closed-loop"
@@ -212,7 +270,9 @@ def _session_alt(j: Judgement) -> str:
 
 def _health_alt(j: Judgement) -> str:
     stretches = j.summary.stretches
-    levels = ", ".join(f"{s.level.value} from {s.times(j.settings.period)}" for s in stretches)
+    levels = ", ".join(
+        f"{s.level.value} from {s.times(j.settings.period)}" for s in stretches
+    )
     n_admitted = len(admitted(j.verdicts))
     refused = sum(v.match == REFUSED for v in j.verdicts)
     return f"Trust over time: {levels or 'no verdict'}. {n_admitted} matches admitted, {refused} refused."

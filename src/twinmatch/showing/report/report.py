@@ -20,8 +20,22 @@ from twinmatch.comparing import Verdict, number_list
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing import open_any
-from twinmatch.offline.backtest import PEERS, Backtest, Choices, Listener, graded_outputs, portable
-from twinmatch.offline.judging import Judgement, Terms, Watch, judge, recorded_terms, terms_from_files
+from twinmatch.offline.backtest import (
+    PEERS,
+    Backtest,
+    Choices,
+    Listener,
+    graded_outputs,
+    portable,
+)
+from twinmatch.offline.judging import (
+    Judgement,
+    Terms,
+    Watch,
+    judge,
+    recorded_terms,
+    terms_from_files,
+)
 from twinmatch.offline.processes import Beside, beside
 from twinmatch.offline.verification import compare, holds_verdicts
 from twinmatch.parameters.twin import table_of, values_of
@@ -30,7 +44,12 @@ from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.showing.family import CRITERIA, FIGURES, Member, family
 from twinmatch.showing.forecasts import backtest_words
 from twinmatch.showing.memory import memory_words
-from twinmatch.showing.quantities import outputs_unit, shown_inputs, shown_outputs, signal_names
+from twinmatch.showing.quantities import (
+    outputs_unit,
+    shown_inputs,
+    shown_outputs,
+    signal_names,
+)
 from twinmatch.showing.report import tables
 from twinmatch.showing.report.pictures import Picture, fans_of, pictures
 from twinmatch.showing.report.words import as_sentence, plain_words, session_facts
@@ -75,9 +94,15 @@ class Provenance:
     settings: tuple[RecordedSetting, ...]
 
 
-def provenance(path: Path, settings: TwinSettings, command: str, made: datetime) -> Provenance:
+def provenance(
+    path: Path, settings: TwinSettings, command: str, made: datetime
+) -> Provenance:
     """Collect the provenance of a session, a file or a folder, judged with these settings."""
-    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
+    files = (
+        sorted(file for file in path.rglob("*") if file.is_file())
+        if path.is_dir()
+        else [path]
+    )
     return Provenance(
         made=made.isoformat(sep=" ", timespec="seconds"),
         command=command,
@@ -91,7 +116,13 @@ def settings_of(settings: TwinSettings) -> tuple[RecordedSetting, ...]:
     """Every parameter with unit and meaning, under its name in a parameter file."""
     values = values_of(settings)
     return tuple(
-        RecordedSetting(p.name, _text(values[p.name]), p.unit, p.description, values[p.name] != p.default)
+        RecordedSetting(
+            p.name,
+            _text(values[p.name]),
+            p.unit,
+            p.description,
+            values[p.name] != p.default,
+        )
         for p in table_of(settings)
         if p.name in values
     )
@@ -106,9 +137,16 @@ def _text(value: object) -> str:
 
 
 def _versions() -> tuple[tuple[str, str], ...]:
-    of_program = (("twinmatch", twinmatch.__version__), ("Python", platform.python_version()))
+    of_program = (
+        ("twinmatch", twinmatch.__version__),
+        ("Python", platform.python_version()),
+    )
     libraries = ((name, _version(name)) for name in _LIBRARIES)
-    return (*of_program, *libraries, ("system", f"{platform.system()} {platform.machine()}"))
+    return (
+        *of_program,
+        *libraries,
+        ("system", f"{platform.system()} {platform.machine()}"),
+    )
 
 
 def _version(library: str) -> str:
@@ -170,7 +208,9 @@ def judge_for_report(path: Path, config: Path | None = None) -> JudgedSession:
     return _judge(session, *_terms(session, config))
 
 
-def _terms(session: Session, config: Path | None = None, candidates: Path | None = None) -> tuple[Terms, str]:
+def _terms(
+    session: Session, config: Path | None = None, candidates: Path | None = None
+) -> tuple[Terms, str]:
     """The terms, and why the verdicts cannot be compared with the recorded ones; empty if they can."""
     try:
         return recorded_terms(session, config, candidates), ""
@@ -191,17 +231,24 @@ def _judge(
     judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
     recorded, identical = _verify(session, judgement, why_incomparable)
     watch_rest = part_of(watch, 1, 2)
-    return JudgedSession(session, judgement, listener, terms.source, recorded, identical, watch_rest)
+    return JudgedSession(
+        session, judgement, listener, terms.source, recorded, identical, watch_rest
+    )
 
 
-def _verify(session: Session, judgement: Judgement, why_incomparable: str) -> tuple[str, bool | None]:
+def _verify(
+    session: Session, judgement: Judgement, why_incomparable: str
+) -> tuple[str, bool | None]:
     """How recorded verdicts compare with those of the judgement, in words, and whether they are identical.
 
     `why_incomparable` is empty if they can be compared.
     """
     count = holds_verdicts(session)
     if not count:
-        return "The session has no recorded verdicts; all of them were computed for this report.", None
+        return (
+            "The session has no recorded verdicts; all of them were computed for this report.",
+            None,
+        )
     recomputed = "They were computed again for this report and"
     try:
         comparison = None if why_incomparable else compare(session, judgement)
@@ -252,14 +299,18 @@ class SessionReport:
 
     def html(self) -> str:
         """The report as one HTML document that loads nothing else."""
-        environment = Environment(  # all text is escaped; a name the template does not know is an error
+        # all text is escaped; a name the template does not know is an error
+        environment = Environment(
             loader=PackageLoader("twinmatch.showing.report", "."),
             autoescape=True,
             undefined=StrictUndefined,
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        environment.filters |= {"sentence": as_sentence, "short": lambda value: f"{value:g}"}
+        environment.filters |= {
+            "sentence": as_sentence,
+            "short": lambda value: f"{value:g}",
+        }
         return environment.get_template("report.html").render(self._content())
 
     def write(self, path: Path) -> None:
@@ -271,7 +322,9 @@ class SessionReport:
         try:
             path.write_text(self.html(), encoding="utf-8")
         except OSError as error:
-            raise TwinmatchError(f"{path}: the report cannot be written: {error.strerror}") from error
+            raise TwinmatchError(
+                f"{path}: the report cannot be written: {error.strerror}"
+            ) from error
 
     def _content(self) -> dict[str, object]:
         judged = self.judged
@@ -280,7 +333,10 @@ class SessionReport:
         last = last_verdict(judgement.verdicts)
         nominal = self.nominal
         tests = judged.tests
-        words = [*plain_words(judgement), *(line for tested in tests for line in backtest_words(tested)[-1:])]
+        words = [
+            *plain_words(judgement),
+            *(line for tested in tests for line in backtest_words(tested)[-1:]),
+        ]
         other_members = [m for m in self.members if not m.nominal and m.modelled]
         period = settings.period
         trust = judgement.summary.trust
@@ -300,18 +356,26 @@ class SessionReport:
             "peers": _peer_words(judged.listener.common.peers, closed=closed),
             "horizons": ", ".join(f"{h:g}" for h in tests[0].horizons),
             "confidence": f"{100 * tests[0].confidence:.0f}",
-            "forecast_notes": list(dict.fromkeys(note for tested in tests for note in tested.notes)),
+            "forecast_notes": list(
+                dict.fromkeys(note for tested in tests for note in tested.notes)
+            ),
             "facts": session_facts(judgement),
             "notes": judgement.summary.notes,
             "pictures": self.pictures,
             "events": tables.event_table(judgement.verdicts, period),
             "match": nominal.match if nominal else None,
-            "nominal_parameters": tables.nominal_table(nominal.score, nominal.match) if nominal else None,
+            "nominal_parameters": tables.nominal_table(nominal.score, nominal.match)
+            if nominal
+            else None,
             "family": tables.family_table(self.members),
-            "matches": tables.match_table(judgement.matches, judgement.verdicts, period, closed=closed),
+            "matches": tables.match_table(
+                judgement.matches, judgement.verdicts, period, closed=closed
+            ),
             "meanings": {c.label: c.meaning for c in (*CRITERIA, *FIGURES)},
             **_of_verdict(last, plant),
-            "coefficients": tables.coefficient_table(nominal) if nominal and nominal.modelled else None,
+            "coefficients": tables.coefficient_table(nominal)
+            if nominal and nominal.modelled
+            else None,
             "other_coefficients": list(map(tables.coefficient_table, other_members)),
             "limits": settings.limits,
             "schedule": settings.schedule,
@@ -331,7 +395,9 @@ def _of_plant(plant: type[Plant]) -> dict[str, object]:
         "called": signal_names(plant) if plant.single else None,
         "outputs": number_list(map(str, shown_outputs(plant))),
         "inputs": number_list(map(str, shown_inputs(plant))),
-        "sensors": number_list(dict.fromkeys(output.sensor for output in plant.outputs.values())),
+        "sensors": number_list(
+            dict.fromkeys(output.sensor for output in plant.outputs.values())
+        ),
         "unit": outputs_unit(plant),
     }
 
@@ -362,7 +428,9 @@ def _tested(tested: Backtest, judgement: Judgement, k: int) -> dict[str, object]
         "tables": tables.forecast_tables(tested),
         "picture": f"forecasts{ending}",
         "leader": f"leader_forecasts{ending}",
-        "fans": tables.leader_forecast_table(fans_of(tested, judgement, k), tested.plant),
+        "fans": tables.leader_forecast_table(
+            fans_of(tested, judgement, k), tested.plant
+        ),
     }
 
 
@@ -377,7 +445,9 @@ def _peer_words(names: Sequence[str], *, closed: bool) -> list[str]:
     """What the methods do that the forecasts are compared with."""
     words = {
         "persistence": "everything stays as it is (persistence)",
-        "arx": "least squares (ARX)" if closed else "least squares on the same inputs (ARX)",
+        "arx": "least squares (ARX)"
+        if closed
+        else "least squares on the same inputs (ARX)",
     }
     return [words[name] for name in words if name in names]
 
@@ -398,7 +468,9 @@ def build_report(
     members = family(judgement.samples, judgement.matches, last, settings)
     drawn = pictures(judgement, members, judged.tests, work or Beside())
     made = made or datetime.now().astimezone()
-    return SessionReport(judged, members, drawn, provenance(path, settings, command, made))
+    return SessionReport(
+        judged, members, drawn, provenance(path, settings, command, made)
+    )
 
 
 def make_report(
@@ -435,8 +507,13 @@ def make_report(
     """
     session = open_any(path, progress=progress, plant=plant)
     terms, why_incomparable = _terms(session, config, candidates)
-    import_module("matplotlib.backends.backend_svg")  # slow; the second process has it, too
+    # slow; the second process has it, too
+    import_module("matplotlib.backends.backend_svg")
     with beside(possible=second and portable(terms.settings.plant)) as work:
-        judged = _judge(session, terms, why_incomparable, peers=peers, watch=watch, work=work)
+        judged = _judge(
+            session, terms, why_incomparable, peers=peers, watch=watch, work=work
+        )
         report = build_report(judged, path, command=command, work=work)
-    return replace(report, memory=tuple(memory_words(terms.settings.plant, memory, rig)))
+    return replace(
+        report, memory=tuple(memory_words(terms.settings.plant, memory, rig))
+    )

@@ -94,7 +94,9 @@ def _table(
     `highlighted` are the numbers of the rows that stand out.
     """
     rows = tuple(tuple(cell(subject) for _, cell in shown) for subject in subjects)
-    return ReportTable(caption, tuple(name for name, _ in shown), rows, frozenset(highlighted))
+    return ReportTable(
+        caption, tuple(name for name, _ in shown), rows, frozenset(highlighted)
+    )
 
 
 def event_table(verdicts: Sequence[Verdict], period: float) -> ReportTable:
@@ -104,7 +106,12 @@ def event_table(verdicts: Sequence[Verdict], period: float) -> ReportTable:
         events(verdicts),
         (
             ("t / s", lambda event: Cell(number((event.sample or 0) * period, 0))),
-            ("kind", lambda event: _words(event.kind.value, css_class=event.kind.name.lower())),
+            (
+                "kind",
+                lambda event: _words(
+                    event.kind.value, css_class=event.kind.name.lower()
+                ),
+            ),
             ("what", lambda event: _words(event.title)),
             ("why", lambda event: _words(event.why)),
         ),
@@ -131,8 +138,18 @@ def nominal_table(score: CandidateScore, match: Match | None) -> ReportTable:
             origin = "candidate file" if match is None else "not fitted"
         named = (_head(q.symbol), _words(q.words), value, _words(q.unit))
         rows.append((*named, Cell(error), Cell(ends), _words(origin)))
-    names = ("symbol", "meaning", "value", "unit", "standard error", "95 % interval", "from")
-    return ReportTable(f"Parameters of the nominal twin, {score.name}", names, tuple(rows))
+    names = (
+        "symbol",
+        "meaning",
+        "value",
+        "unit",
+        "standard error",
+        "95 % interval",
+        "from",
+    )
+    return ReportTable(
+        f"Parameters of the nominal twin, {score.name}", names, tuple(rows)
+    )
 
 
 def _ends(match: Match, q: ParameterFormat) -> str:
@@ -166,15 +183,24 @@ def family_table(members: Sequence[Member]) -> ReportTable | None:
     closed = any(m.settings.law is not None for m in members)
     shown: list[tuple[str, Callable[[Member], Cell]]] = [
         ("candidate", lambda m: _head(m.score.name)),
-        ("samples", lambda m: Cell(_samples(m.score) if m.fitted else "candidate file")),
+        (
+            "samples",
+            lambda m: Cell(_samples(m.score) if m.fitted else "candidate file"),
+        ),
     ]
     for q in _formats(members):
         shown.append((q.label, partial(_parameter_cell, q)))
-    shown.append(("fit of y / %", lambda m: Cell(percent(m.match.fit.y) if m.match else "–")))
+    shown.append(
+        ("fit of y / %", lambda m: Cell(percent(m.match.fit.y) if m.match else "–"))
+    )
     if closed:
-        shown.append(("fit of u / %", lambda m: Cell(percent(m.match.fit.u) if m.match else "–")))
+        shown.append(
+            ("fit of u / %", lambda m: Cell(percent(m.match.fit.u) if m.match else "–"))
+        )
     highlighted = {k for k, m in enumerate(members) if m.nominal}
-    return _table("Parameters of the family, with 95 % intervals", members, shown, highlighted)
+    return _table(
+        "Parameters of the family, with 95 % intervals", members, shown, highlighted
+    )
 
 
 def _parameter_cell(q: ParameterFormat, member: Member) -> Cell:
@@ -195,11 +221,18 @@ def _formats(members: Sequence[Member]) -> list[ParameterFormat]:
     free = [m.match.free for m in members if m.match is not None]
     free = free or [m.score.parameters.model.structure.free for m in members]
     plant = members[0].score.parameters.model.plant
-    return [parameter_format(plant, name) for name in in_order(plant, {n for names in free for n in names})]
+    return [
+        parameter_format(plant, name)
+        for name in in_order(plant, {n for names in free for n in names})
+    ]
 
 
 def match_table(
-    matches: Sequence[MatchReport], verdicts: Sequence[Verdict], period: float, *, closed: bool = True
+    matches: Sequence[MatchReport],
+    verdicts: Sequence[Verdict],
+    period: float,
+    *,
+    closed: bool = True,
 ) -> ReportTable | None:
     """Every match, admitted or refused, and why, None without one; `closed`: whether the loop is known.
 
@@ -217,7 +250,9 @@ def match_table(
         return _words(word, css_class=word.partition(":")[0])
 
     def why(row: _MatchRow) -> Cell:
-        return _words(reasons.get(row.sample, row.report.match.reason if row.report else ""))
+        return _words(
+            reasons.get(row.sample, row.report.match.reason if row.report else "")
+        )
 
     shown: list[tuple[str, Callable[[_MatchRow], Cell]]] = [
         ("t / s", lambda row: Cell(number(row.sample * period, 0))),
@@ -232,11 +267,17 @@ def match_table(
         for name in in_order(plant, {name for m in matches for name in m.match.free}):
             q = parameter_format(plant, name)
             shown.append((q.label, _of_report(partial(_matched_cell, q))))
-    shown.append(("fit y / %", _of_report(lambda report: Cell(percent(report.match.fit.y)))))
+    shown.append(
+        ("fit y / %", _of_report(lambda report: Cell(percent(report.match.fit.y))))
+    )
     if closed:
-        shown.append(("fit u / %", _of_report(lambda report: Cell(percent(report.match.fit.u)))))
+        shown.append(
+            ("fit u / %", _of_report(lambda report: Cell(percent(report.match.fit.u))))
+        )
     shown.append(("why", why))
-    return _table("Every match of the session", sorted(rows, key=lambda row: row.sample), shown)
+    return _table(
+        "Every match of the session", sorted(rows, key=lambda row: row.sample), shown
+    )
 
 
 class _MatchRow(NamedTuple):
@@ -263,8 +304,15 @@ def signal_table(verdict: Verdict | None) -> ReportTable | None:
     rows = trust_by_signal(verdict)
     if not rows:
         return None
-    cells = (tuple(map(_head, row.values()))[:1] + tuple(map(Cell, row.values()))[1:] for row in rows)
-    return ReportTable("How far to trust the leader's forecasts of each signal", tuple(rows[0]), tuple(cells))
+    cells = (
+        tuple(map(_head, row.values()))[:1] + tuple(map(Cell, row.values()))[1:]
+        for row in rows
+    )
+    return ReportTable(
+        "How far to trust the leader's forecasts of each signal",
+        tuple(rows[0]),
+        tuple(cells),
+    )
 
 
 def criterion_tables(verdict: Verdict) -> list[ReportTable]:
@@ -280,9 +328,13 @@ def criterion_tables(verdict: Verdict) -> list[ReportTable]:
         for k, row in enumerate(criteria):
             first = () if k % count else (_head(titles[row.output], count),)
             order = Cell(row.order, best=row.chosen, number=False)
-            rows.append((*first, order, *(Cell(c.text, best=c.best) for c in row.cells)))
+            rows.append(
+                (*first, order, *(Cell(c.text, best=c.best) for c in row.cells))
+            )
         mark = ", nominal" if candidate.name == verdict.nominal else ""
-        caption = f"Candidate {candidate.name}{mark}: order {candidate.chosen_order} chosen"
+        caption = (
+            f"Candidate {candidate.name}{mark}: order {candidate.chosen_order} chosen"
+        )
         chosen = frozenset(k for k, row in enumerate(criteria) if row.chosen)
         tables.append(ReportTable(caption, names, tuple(rows), chosen))
     return tables
@@ -297,14 +349,24 @@ def order_table(verdict: Verdict) -> ReportTable | None:
     for c in verdict.modelled:
         largest = max(o.weight for o in c.orders)
         best = [o.weight == largest for o in c.orders]
-        texts = [number(o.weight, 3) for o in c.orders] + [number(o.aic_difference, 1) for o in c.orders]
+        texts = [number(o.weight, 3) for o in c.orders] + [
+            number(o.aic_difference, 1) for o in c.orders
+        ]
         rows.append((_head(c.name), *map(Cell, texts, best + best)))
-    called = ("candidate", *(f"weight {n}" for n in names), *(f"ΔAIC {n}" for n in names))
+    called = (
+        "candidate",
+        *(f"weight {n}" for n in names),
+        *(f"ΔAIC {n}" for n in names),
+    )
     return ReportTable("Akaike weights of the orders", called, tuple(rows))
 
 
 _TO_NOMINAL: Final = FigureColumn(
-    "plant_gap_to_nominal", "to the nominal, scaled like the margin", "", 3, "from input to output alone"
+    "plant_gap_to_nominal",
+    "to the nominal, scaled like the margin",
+    "",
+    3,
+    "from input to output alone",
 )
 _IDENTIFIED: Final = FigureColumn(
     "identified_gap_to_plant", "to the newest window's model", "", 3, "as in the paper"
@@ -317,7 +379,9 @@ def gap_table(verdict: Verdict) -> ReportTable:
     extra = [column for column in columns if _has_figures(column, verdict.candidates)]
     sums = [c.nu_gap_sum for c in verdict.candidates]
     title = "ν-gap between the plants"
-    return _distances(title, verdict, verdict.candidates, verdict.nu_gap, sums=sums, extra=extra)
+    return _distances(
+        title, verdict, verdict.candidates, verdict.nu_gap, sums=sums, extra=extra
+    )
 
 
 def identified_table(verdict: Verdict) -> ReportTable:
@@ -325,7 +389,9 @@ def identified_table(verdict: Verdict) -> ReportTable:
     sums = [c.identified_gap_sum for c in verdict.modelled]
     title = f"ν-gap between the models of order {verdict.order}"
     gaps = verdict.identified_gap
-    return _distances(title, verdict, verdict.modelled, gaps, sums=sums, extra=[_IDENTIFIED])
+    return _distances(
+        title, verdict, verdict.modelled, gaps, sums=sums, extra=[_IDENTIFIED]
+    )
 
 
 def _has_figures(column: FigureColumn, candidates: Sequence[CandidateScore]) -> bool:
@@ -346,10 +412,24 @@ def _distances(
     for c, gaps, total in zip(candidates, matrix, sums, strict=True):
         further_cells = (Cell(column.text(c)) for column in extra)
         total_cell = Cell(number(total, 3), best=total == min(sums))
-        rows.append((_head(c.name), *(Cell(number(v, 3)) for v in gaps), total_cell, *further_cells))
+        rows.append(
+            (
+                _head(c.name),
+                *(Cell(number(v, 3)) for v in gaps),
+                total_cell,
+                *further_cells,
+            )
+        )
     names = [c.name for c in candidates]
-    highlighted = frozenset(k for k, name in enumerate(names) if name == verdict.nominal)
-    return ReportTable(title, ("candidate", *names, "Σ", *(c.label for c in extra)), tuple(rows), highlighted)
+    highlighted = frozenset(
+        k for k, name in enumerate(names) if name == verdict.nominal
+    )
+    return ReportTable(
+        title,
+        ("candidate", *names, "Σ", *(c.label for c in extra)),
+        tuple(rows),
+        highlighted,
+    )
 
 
 def coefficient_table(member: Member) -> ReportTable:
@@ -361,16 +441,24 @@ def coefficient_table(member: Member) -> ReportTable:
         for k, polynomial in enumerate("BCDF"):
             first = (_head(title, 4),) if k == 0 else ()
             of_orders = [m.y if output == "y" else m.u for m in models]
-            cells = [_polynomial_cell(getattr(model, polynomial)) for model in of_orders if model is not None]
+            cells = [
+                _polynomial_cell(getattr(model, polynomial))
+                for model in of_orders
+                if model is not None
+            ]
             rows.append((*first, _head(polynomial), *cells))
     names = ("output", "", *(f"order {m.order}" for m in models))
     mark = ", nominal" if member.nominal else ""
-    return ReportTable(f"Box–Jenkins models of candidate {member.score.name}{mark}", names, tuple(rows))
+    return ReportTable(
+        f"Box–Jenkins models of candidate {member.score.name}{mark}", names, tuple(rows)
+    )
 
 
 def _polynomial_cell(coefficients: FloatArray) -> Cell:
     """The coefficients of a polynomial in q⁻¹, constant term first, to six significant digits."""
-    text = "  ".join(f"{value:.6g}".replace("-", "−") for value in coefficients.tolist())
+    text = "  ".join(
+        f"{value:.6g}".replace("-", "−") for value in coefficients.tolist()
+    )
     return _words(text, css_class="poly")
 
 
@@ -390,18 +478,28 @@ def forecast_tables(tested: Backtest) -> list[ReportTable]:
             rows.append((_head(forecaster), error, *map(Cell, figures[1:])))
         caption = f"{horizon:g} s ahead, {cards[0].count} forecasts"
         highlighted = frozenset(k for k, card in enumerate(cards) if card.who == LEADER)
-        tables.append(ReportTable(caption, tuple(name for name, _ in columns), tuple(rows), highlighted))
+        tables.append(
+            ReportTable(
+                caption, tuple(name for name, _ in columns), tuple(rows), highlighted
+            )
+        )
     return tables
 
 
-def leader_forecast_table(fans: Sequence[Fan], plant: type[Plant]) -> ReportTable | None:
+def leader_forecast_table(
+    fans: Sequence[Fan], plant: type[Plant]
+) -> ReportTable | None:
     """Forecasts of the leader in numbers, beside the measurements; None without forecasts."""
     if not fans:
         return None
     signals = signal_names(plant)
     closed = fans[0].forecast.closed
     decimals = plant.output.decimals
-    moves = ("set-points", signals.output.unit) if closed else ("inputs", signals.input.unit)
+    moves = (
+        ("set-points", signals.output.unit)
+        if closed
+        else ("inputs", signals.input.unit)
+    )
 
     def ends(fan: Fan) -> Cell:
         band = fan.forecast.output
@@ -412,14 +510,19 @@ def leader_forecast_table(fans: Sequence[Fan], plant: type[Plant]) -> ReportTabl
         return Cell(f"{percent(float(inside.mean()), 0)} %" if inside.size else "–")
 
     def last(fan: Fan) -> Cell:
-        return Cell(number(None if fan.measured is None else fan.measured.output[-1], decimals))
+        return Cell(
+            number(None if fan.measured is None else fan.measured.output[-1], decimals)
+        )
 
     def error(fan: Fan) -> Cell:
         return Cell(number(root_mean_square([fan.error]), decimals + 1))
 
     unit = signals.output.unit
     shown: list[tuple[str, Callable[[Fan], Cell]]] = [
-        ("made at / s", lambda fan: _head(number(fan.forecast.sample * fan.past.period, 0))),
+        (
+            "made at / s",
+            lambda fan: _head(number(fan.forecast.sample * fan.past.period, 0)),
+        ),
         ("by", lambda fan: _words(fan.forecast.candidate)),
         (with_unit(*moves), lambda fan: _words(levels_words(fan.forecast))),
         (with_unit("forecast at its end", unit), ends),

@@ -48,17 +48,31 @@ def session_facts(judgement: Judgement) -> list[tuple[str, str]]:
     ]
     if closed:
         for k, y in enumerate(outputs[: len(samples[0].references)]):
-            facts.append((f"set-point{of_output[k]}", y.text(*_ends(s.references[k] for s in samples))))
+            facts.append(
+                (
+                    f"set-point{of_output[k]}",
+                    y.text(*_ends(s.references[k] for s in samples)),
+                )
+            )
     for k, y in enumerate(outputs):
         facts.append((y.name, y.text(*_ends(s.outputs[k] for s in samples))))
-    for k, (u, drive) in enumerate(zip(inputs, settings.plant.drives.values(), strict=True)):
+    for k, (u, drive) in enumerate(
+        zip(inputs, settings.plant.drives.values(), strict=True)
+    ):
         reached = u.text(*_ends(s.inputs[k] for s in samples))
         limits = " to ".join(number(edge, u.decimals) for edge in drive.limits)
         facts.append((u.name, f"{reached} (limits {limits})"))
-    facts.append(("set-point steps" if closed else "control steps", _steps(samples, settings)))
+    facts.append(
+        ("set-point steps" if closed else "control steps", _steps(samples, settings))
+    )
     facts.append(("matches", _matches(judgement)))
     identified = judgement.summary.identified
-    facts.append(("verdicts", f"{len(judgement.verdicts)}, of which {identified} identified models"))
+    facts.append(
+        (
+            "verdicts",
+            f"{len(judgement.verdicts)}, of which {identified} identified models",
+        )
+    )
     shown = shown_twin(judgement.verdicts[-1] if judgement.verdicts else None)
     if shown is not None:
         facts += _fit_facts(judgement, shown)
@@ -73,7 +87,9 @@ def _ends(values: Iterable[float]) -> tuple[float, float]:
 
 def _duration(judgement: Judgement) -> str:
     samples = judgement.samples
-    return duration((samples[-1].index - samples[0].index + 1) * judgement.settings.period)
+    return duration(
+        (samples[-1].index - samples[0].index + 1) * judgement.settings.period
+    )
 
 
 def plain_words(judgement: Judgement) -> list[str]:
@@ -103,14 +119,20 @@ def _what(judgement: Judgement) -> str:
     control = f"control ({number_list(drive.text or drive.name for drive in plant.drives.values())})"
     recorded = f"were recorded every {period:g} s, {len(samples)} samples in total"
     if judgement.settings.law is None:
-        beside = "".join(f" and {d.text or d.name}" for d in plant.disturbances.values())
+        beside = "".join(
+            f" and {d.text or d.name}" for d in plant.disturbances.values()
+        )
         return (
             f"For {_duration(judgement)} the {outputs} of a plant ({plant.title}), its "
             f"{control}{beside} {recorded}; its controller is not known."
         )
     low, high = _ends(r for s in samples for r in s.references)
     unit = outputs_unit(plant)
-    levels = f"set-points from {low:g} to {high:g} {unit}" if high > low else f"a set-point of {low:g} {unit}"
+    levels = (
+        f"set-points from {low:g} to {high:g} {unit}"
+        if high > low
+        else f"a set-point of {low:g} {unit}"
+    )
     return (
         f"For {_duration(judgement)} a plant ({plant.title}) was controlled to {levels}; its "
         f"{outputs} and the {control} {recorded}."
@@ -121,7 +143,11 @@ def _matching(judgement: Judgement) -> str:
     count = sum(1 for v in judgement.verdicts if v.match)
     closed = judgement.settings.law is not None
     kind = "set-point" if closed else "control"
-    twin = "of the plant with its controller" if closed else "of the plant under the recorded control"
+    twin = (
+        "of the plant with its controller"
+        if closed
+        else "of the plant under the recorded control"
+    )
     if not count:
         return (
             f"There was no {kind} step that a digital twin could be fitted to, so there is no match and no "
@@ -129,7 +155,11 @@ def _matching(judgement: Judgement) -> str:
         )
     n_admitted = len(admitted(judgement.verdicts))
     were = "was" if n_admitted == 1 else "were"
-    refused = f" and {count - n_admitted} refused (see section 2)" if count > n_admitted else ""
+    refused = (
+        f" and {count - n_admitted} refused (see section 2)"
+        if count > n_admitted
+        else ""
+    )
     return (
         f"After {kind} steps a digital twin, a simulation {twin}, is fitted to the measurements: of {count} "
         f"match{'' if count == 1 else 'es'}, {n_admitted} {were} admitted to the "
@@ -151,7 +181,9 @@ def _nothing(judgement: Judgement) -> str:
 
 def _leader(last: Verdict, shown: ShownTwin) -> str:
     count = len(last.forecasts)
-    description = f"structure “{shown.name}”" if shown.is_structure else f"twin “{shown.name}”"
+    description = (
+        f"structure “{shown.name}”" if shown.is_structure else f"twin “{shown.name}”"
+    )
     description = f"match at {shown.name}" if shown.is_match else description
     why = ", the only one with forecasts"
     if count > 1:
@@ -168,7 +200,11 @@ def _choice(last: Verdict, nominal: CandidateScore) -> str:
             "other candidate."
         )
     order = nominal.chosen_order
-    described = f" Its behaviour is described best by a Box–Jenkins model of order {order}." if order else ""
+    described = (
+        f" Its behaviour is described best by a Box–Jenkins model of order {order}."
+        if order
+        else ""
+    )
     return (
         f"The family has {count} candidates, matches and structures. Its centre, the nominal candidate, is "
         f"{nominal.name}: it has the smallest sum of ν-gaps to the others, {nominal.nu_gap_sum:.3f} (0: the "
@@ -185,7 +221,9 @@ def _fit(judgement: Judgement, shown: ShownTwin) -> str:
         f"{y} {'over the whole session ' * (not k)}to {fit} % ({scale * (not k)}{y.text(error, finer=1)} RMS)"
         for k, (y, fit, error) in enumerate(outputs)
     ]
-    fits += [f"the {u} to {fit} % ({u.text(error, finer=1)} RMS)" for u, fit, error in inputs]
+    fits += [
+        f"the {u} to {fit} % ({u.text(error, finer=1)} RMS)" for u, fit, error in inputs
+    ]
     faulty = any(v.level is TrustLevel.FAULT for v in judgement.verdicts)
     return (
         f"Driven {driving}, {shown.name} follows the measured {number_list(fits)}"
@@ -195,7 +233,9 @@ def _fit(judgement: Judgement, shown: ShownTwin) -> str:
 
 def _health(judgement: Judgement) -> str:
     period = judgement.settings.period
-    doubtful = [s for s in judgement.summary.stretches if s.level is TrustLevel.DOUBTFUL]
+    doubtful = [
+        s for s in judgement.summary.stretches if s.level is TrustLevel.DOUBTFUL
+    ]
     doubts = ", ".join(f"t = {stretch.times(period)}" for stretch in doubtful)
     if faults := fault_spans(judgement.summary):
         todo = "Look at the plant (drive, sensor, cables) before anything else."
@@ -213,18 +253,30 @@ def _fit_facts(judgement: Judgement, shown: ShownTwin) -> list[tuple[str, str]]:
     bands_held = ("forecasts have held", str(s.range) if s.range else "–")
     closed = judgement.settings.law is not None
     facts = [
-        (f"{loop if closed else open_loop}{y}", f"fit {fit} %, {y.text(error, finer=2)} RMS")
+        (
+            f"{loop if closed else open_loop}{y}",
+            f"fit {fit} %, {y.text(error, finer=2)} RMS",
+        )
         for y, fit, error in outputs
     ]
-    facts += [(f"{loop}{u}", f"fit {fit} %, {u.text(error, finer=1)} RMS") for u, fit, error in inputs]
+    facts += [
+        (f"{loop}{u}", f"fit {fit} %, {u.text(error, finer=1)} RMS")
+        for u, fit, error in inputs
+    ]
     if closed:
-        facts += [(f"{open_loop}{y}", f"{y.text(error, finer=1)} RMS") for y, _, error in driven]
+        facts += [
+            (f"{open_loop}{y}", f"{y.text(error, finer=1)} RMS")
+            for y, _, error in driven
+        ]
     return [*facts, bands_held]
 
 
 def _matches(judgement: Judgement) -> str:
     counts = judgement.summary.matches
-    parts = ", ".join(f"{count} {status.replace('_', ' ')}" for status, count in sorted(counts.items()))
+    parts = ", ".join(
+        f"{count} {status.replace('_', ' ')}"
+        for status, count in sorted(counts.items())
+    )
     return f"{sum(counts.values())}" + (f" ({parts})" if parts else "")
 
 
@@ -257,8 +309,15 @@ def _fitted(judgement: Judgement, shown: ShownTwin) -> tuple[_Fitted, _Fitted, _
     parts = compare(judgement.stretches, shown.parameters, judgement.settings)
 
     def rows(signals: list[ShownSignal], shares: Signals, residual: str) -> _Fitted:
-        alone = [[getattr(part.alone(k), residual) for part in parts] for k in range(len(signals))]
-        return list(zip(signals, map(percent, shares), map(root_mean_square, alone), strict=True))
+        alone = [
+            [getattr(part.alone(k), residual) for part in parts]
+            for k in range(len(signals))
+        ]
+        return list(
+            zip(
+                signals, map(percent, shares), map(root_mean_square, alone), strict=True
+            )
+        )
 
     driven = rows(shown_outputs(plant), fits.outputs, "driven_residual_y")
     if judgement.settings.law is None:
