@@ -105,7 +105,7 @@ def test_two_judgements_are_the_same_to_the_last_bit(
     adopted: Callable[..., Model], exchange_fmu: Path
 ) -> None:
     model = adopted(exchange_fmu)
-    first, second = (judged(a_session(420)).verdicts for _ in range(2))
+    first, second = (judged(a_session(600)).verdicts for _ in range(2))
     names = {score.name for verdict in first for score in verdict.forecasts}
     assert model.structure_name in names
     assert repr(first) == repr(second)

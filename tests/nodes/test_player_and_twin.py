@@ -18,6 +18,10 @@ def test_what_a_twin_publishes_of_the_plant_is_not_played_beside_it(
     for name in ("discriminator", "twin_simulator"):
         twin = Inside(name)
         try:
+            listener.spin_until(
+                lambda node_name=name: node_name in listener.node.get_node_names(),
+                "the node",
+            )
             topics = listener.spin_until(
                 lambda node_name=name: (
                     listener.node.get_publisher_names_and_types_by_node(node_name, "/")

@@ -461,7 +461,7 @@ MISFITS: tuple[tuple[dict[str, str], str], ...] = (
     ),
     (
         {"input": "/oven/heater; gain=3"},
-        "gain: is not a known key; there are column, columns, missing, names",
+        "gain: is not a known key; there are column, columns, interval, missing, names",
     ),
     ({"max_age__room": "3.0"}, "there is no parameter max_age.room"),
     (
