@@ -21,7 +21,7 @@ from twinmatch.sessions import (
 )
 from twinmatch.sessions.cdr import encode_sample
 from twinmatch.sessions.messages import SAMPLE, schema_of
-from twinmatch.sessions.metadata import CANDIDATES, parameters_record
+from twinmatch.sessions.metadata import CANDIDATES, parameters_of, parameters_record
 from twinmatch.signals import Sample
 from twinmatch.twin import Outcome
 
@@ -98,3 +98,15 @@ def wait_for_recorded(folder: Path, **counts: int) -> None:
         )
 
     wait_for(enough, lambda: str(written(folder)))
+
+
+def wait_for_settings(folder: Path, *nodes: str) -> None:
+    """Until the parameters of these nodes (full names) are in the file."""
+
+    def are_there() -> bool:
+        session = written(folder)
+        return session is not None and all(
+            parameters_of(session.records, node) is not None for node in nodes
+        )
+
+    wait_for(are_there, lambda: str(written(folder)))

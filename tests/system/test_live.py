@@ -32,7 +32,7 @@ from std_srvs.srv import Trigger
 from tests.support.disks import fill, small_disk
 from tests.support.places import LAUNCH_SCRIPTS, PROJECT
 from tests.support.processes import Process, Processes, run_twinmatch
-from tests.support.recorded import wait_for_recorded
+from tests.support.recorded import wait_for_recorded, wait_for_settings
 from tests.support.ros import Listener, listening
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.emulation.faults import tell
@@ -213,6 +213,8 @@ def test_processes_are_restarted_and_without_the_rig_the_output_is_off(
     assert second.wait() == 2
     assert "/plant/sample already has a publisher" in second.text
     assert run.state()["pwm"] != 0
+    # A killed recorder takes with it what it has not asked the nodes yet.
+    wait_for_settings(run.session, "/matcher", "/discriminator")
     for name in ("twin", "recorder", "plant_clock"):
         run.restarts(name)
     run.wait_until((run.folder / "run_2").is_dir, "another folder")

@@ -200,14 +200,16 @@ def _output(
         zip(output.gains, proposal.inputs, strict=True), 1
     ):
         most = rounded(reach / (u.high - u.low))
-        gains.append({
-            "name": f"gain_{number}_{input_number}",
-            "unit": _per(y.unit, u.unit),
-            "default": min(max(gain, -most), most),
-            "most": most,
-            "scale": rounded(most / 10),
-            "input": u.name,
-        })  # fmt: skip
+        gains.append(
+            {
+                "name": f"gain_{number}_{input_number}",
+                "unit": _per(y.unit, u.unit),
+                "default": min(max(gain, -most), most),
+                "most": most,
+                "scale": rounded(most / 10),
+                "input": u.name,
+            }
+        )
     low, high = (-reach, reach) if output.around else (y.low, y.high)
     return {
         "number": number,

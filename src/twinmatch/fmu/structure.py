@@ -225,10 +225,17 @@ class FmuKernels:
             )
 
     def foresee_each(  # noqa: PLR0917
-        self, sizes: NDArray[np.int64], vectors: FloatArray, which: NDArray[np.int64], states: FloatArray,
-        covariances: FloatArray, process_noise: FloatArray, steps: NDArray[np.int64],
-        wanted: NDArray[np.int64], *others: Any,
-    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        self,
+        sizes: NDArray[np.int64],
+        vectors: FloatArray,
+        which: NDArray[np.int64],
+        states: FloatArray,
+        covariances: FloatArray,
+        process_noise: FloatArray,
+        steps: NDArray[np.int64],
+        wanted: NDArray[np.int64],
+        *others: Any,
+    ) -> tuple[FloatArray, FloatArray]:
         """As `twinmatch.dynamics.variances.foresee_each`, of this FMU alone."""
         given = (
             sizes,

@@ -310,14 +310,26 @@ class PlantTopics(NamedTuple):
 
 
 GENERAL = PlantTopics(
-    "plant/reading", PlantReading, "output", "plant/command", PlantCommand, "input",
-    "plant/applied", PlantApplied,
-)  # fmt: skip
+    "plant/reading",
+    PlantReading,
+    "output",
+    "plant/command",
+    PlantCommand,
+    "input",
+    "plant/applied",
+    PlantApplied,
+)
 """The topics of any plant."""
 PELTIER = PlantTopics(
-    "plant/temperature", Temperature, "temperature", "plant/pwm_command", PwmCommand, "pwm",
-    "plant/pwm_applied", PwmApplied,
-)  # fmt: skip
+    "plant/temperature",
+    Temperature,
+    "temperature",
+    "plant/pwm_command",
+    PwmCommand,
+    "pwm",
+    "plant/pwm_applied",
+    PwmApplied,
+)
 """The Peltier rig has its own, older topics, which are named for its temperature and its PWM."""
 
 

@@ -72,9 +72,16 @@ def sample_from(message: messages.LoopSample) -> Sample:
 
 
 STATE_FIGURES = (
-    "closed_output", "closed_input", "driven_output", "closed_residual_y", "closed_residual_u",
-    "driven_residual_y", "closed_rms_y", "closed_rms_u", "driven_rms_y",
-)  # fmt: skip
+    "closed_output",
+    "closed_input",
+    "driven_output",
+    "closed_residual_y",
+    "closed_residual_u",
+    "driven_residual_y",
+    "closed_rms_y",
+    "closed_rms_u",
+    "driven_rms_y",
+)
 
 SHOWN = (
     1.0,

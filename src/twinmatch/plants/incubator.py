@@ -51,9 +51,16 @@ class Incubator(Plant, name="incubator"):
     parts = (_BED, _BOX, _LAG)
 
     temperature = Output(
-        unit="°C", noise=0.1, span=(-20.0, 90.0), set_points=(22.0, 45.0), safe=(0.0, 60.0),
-        absolute=273.15, text="temperature in the box", symbol="T", sensor="sensors in the box",
-    )  # fmt: skip
+        unit="°C",
+        noise=0.1,
+        span=(-20.0, 90.0),
+        set_points=(22.0, 45.0),
+        safe=(0.0, 60.0),
+        absolute=273.15,
+        text="temperature in the box",
+        symbol="T",
+        sensor="sensors in the box",
+    )
     # The mean of two sensors with steps of 0.06 °C, in air that the fan does not mix instantly.
     heater = Drive(
         unit="",
@@ -94,29 +101,54 @@ class Incubator(Plant, name="incubator"):
         text="power of the heat bed",
     )
     air_heat_capacity = Parameter(
-        unit="J/K", default=177.6, bounds=(5.0, 2000.0), positive=True, symbol="C_A",
+        unit="J/K",
+        default=177.6,
+        bounds=(5.0, 2000.0),
+        positive=True,
+        symbol="C_A",
         text="heat capacity of the air and what follows it quickly",
-    )  # fmt: skip
+    )
     bed_heat_capacity = Parameter(
-        unit="J/K", default=239.6, bounds=(20.0, 5000.0), positive=True, symbol="C_H",
+        unit="J/K",
+        default=239.6,
+        bounds=(20.0, 5000.0),
+        positive=True,
+        symbol="C_H",
         text="heat capacity of the heat bed",
-    )  # fmt: skip
+    )
     box_heat_capacity = Parameter(
-        unit="J/K", default=1e4, bounds=(500.0, 2e5), positive=True, symbol="C_B",
+        unit="J/K",
+        default=1e4,
+        bounds=(500.0, 2e5),
+        positive=True,
+        symbol="C_B",
         text="heat capacity of walls and contents",
-    )  # fmt: skip
+    )
     bed_conductance = Parameter(
-        unit="W/K", default=2.32, bounds=(0.05, 20.0), positive=True, symbol="G_H",
+        unit="W/K",
+        default=2.32,
+        bounds=(0.05, 20.0),
+        positive=True,
+        symbol="G_H",
         text="conductance from the heat bed to the air",
-    )  # fmt: skip
+    )
     box_conductance = Parameter(
-        unit="W/K", default=0.773, bounds=(0.01, 20.0), positive=True, role="losses", symbol="G_B",
+        unit="W/K",
+        default=0.773,
+        bounds=(0.01, 20.0),
+        positive=True,
+        role="losses",
+        symbol="G_B",
         text="conductance from the air to the box",
-    )  # fmt: skip
+    )
     wall_conductance = Parameter(
-        unit="W/K", default=1.0, bounds=(0.01, 20.0), positive=True, symbol="G_W",
+        unit="W/K",
+        default=1.0,
+        bounds=(0.01, 20.0),
+        positive=True,
+        symbol="G_W",
         text="conductance from the box to the room",
-    )  # fmt: skip
+    )
     sensor_lag = Parameter(
         unit="s",
         default=5.0,

@@ -83,9 +83,16 @@ class Peltier(Plant, name="peltier"):
     parts = (_MASS, _LAG, _SLOPE)
 
     temperature = Output(
-        unit="°C", noise=0.1, span=(-60.0, 250.0), set_points=(20.0, 90.0), safe=(0.0, 100.0),
-        absolute=KELVIN, text="plate temperature", symbol="y", sensor="camera",
-    )  # fmt: skip
+        unit="°C",
+        noise=0.1,
+        span=(-60.0, 250.0),
+        set_points=(20.0, 90.0),
+        safe=(0.0, 100.0),
+        absolute=KELVIN,
+        text="plate temperature",
+        symbol="y",
+        sensor="camera",
+    )
     # Below 0 °C the plate ices; the module's solder softens at 138 °C, and the loop overshoots.
     pwm = Drive(
         unit="PWM",
@@ -132,33 +139,72 @@ class Peltier(Plant, name="peltier"):
         text="thermal conductance",
     )
     heat_capacity = Parameter(
-        unit="J/K", default=15.0, bounds=(5.0, 150.0), scale=30.0, positive=True, symbol="C",
+        unit="J/K",
+        default=15.0,
+        bounds=(5.0, 150.0),
+        scale=30.0,
+        positive=True,
+        symbol="C",
         text="heat capacity of the plate",
-    )  # fmt: skip
+    )
     ambient = Parameter(
-        unit="K", default=296.0, bounds=(263.0, 323.0), scale=10.0, least=150.0, most=600.0, relative=False,
-        role="room", symbol="T_∞", text="temperature of the room",
-    )  # fmt: skip
+        unit="K",
+        default=296.0,
+        bounds=(263.0, 323.0),
+        scale=10.0,
+        least=150.0,
+        most=600.0,
+        relative=False,
+        role="room",
+        symbol="T_∞",
+        text="temperature of the room",
+    )
     sink_heat_capacity = Parameter(
-        unit="J/K", default=350.0, bounds=(20.0, 5000.0), scale=300.0, positive=True, symbol="C_S",
+        unit="J/K",
+        default=350.0,
+        bounds=(20.0, 5000.0),
+        scale=300.0,
+        positive=True,
+        symbol="C_S",
         text="heat capacity of the sink",
-    )  # fmt: skip
+    )
     sink_convection = Parameter(
-        unit="W/K", default=3.0, bounds=(0.1, 100.0), least=0.0, role="losses", symbol="h",
+        unit="W/K",
+        default=3.0,
+        bounds=(0.1, 100.0),
+        least=0.0,
+        role="losses",
+        symbol="h",
         text="convection from the sink to the room",
-    )  # fmt: skip
+    )
     sensor_lag = Parameter(
-        unit="s", default=1.0, bounds=(0.2, 20.0), scale=2.0, positive=True, symbol="τ",
+        unit="s",
+        default=1.0,
+        bounds=(0.2, 20.0),
+        scale=2.0,
+        positive=True,
+        symbol="τ",
         text="lag of the camera",
-    )  # fmt: skip
+    )
     seebeck_slope = Parameter(
-        unit="V/K²", default=0.0, bounds=(-5e-4, 5e-4), scale=1e-4, relative=False, symbol="β",
+        unit="V/K²",
+        default=0.0,
+        bounds=(-5e-4, 5e-4),
+        scale=1e-4,
+        relative=False,
+        symbol="β",
         text="change of the Seebeck coefficient with temperature",
-    )  # fmt: skip
+    )
     drive_ripple = Parameter(
-        unit="", default=0.0, bounds=(0.0, 1.0), scale=1.0, least=0.0, most=1.0, symbol="ρ",
+        unit="",
+        default=0.0,
+        bounds=(0.0, 1.0),
+        scale=1.0,
+        least=0.0,
+        most=1.0,
+        symbol="ρ",
         text="share of the bridge's switching ripple that reaches the module",
-    )  # fmt: skip
+    )
     supply = Parameter(
         unit="V",
         default=12.0,

@@ -93,9 +93,16 @@ class TCLab(Plant, name="tclab"):
     parts: ClassVar[tuple[str, ...]] = (_LAG, _RADIATION, _NEIGHBOUR, _DEAD)
 
     temperature = Output(
-        unit="°C", noise=0.12, span=(-45.0, 130.0), set_points=(25.0, 70.0), safe=(0.0, 75.0),
-        absolute=KELVIN, text="temperature T1", symbol="T₁", sensor="kit",
-    )  # fmt: skip
+        unit="°C",
+        noise=0.12,
+        span=(-45.0, 130.0),
+        set_points=(25.0, 70.0),
+        safe=(0.0, 75.0),
+        absolute=KELVIN,
+        text="temperature T1",
+        symbol="T₁",
+        sensor="kit",
+    )
     # The sensor is specified for −40 to 125 °C, and reads −50 °C if its wire is off. Above 75 °C skin burns.
     power = Drive(
         unit="%", limits=(0.0, 100.0), noise=2.0, text="heater 1", symbol="Q₁"
@@ -126,9 +133,15 @@ class TCLab(Plant, name="tclab"):
     )
 
     losses = Parameter(
-        unit="W/(m² K)", default=6.0, bounds=(1.0, 60.0), scale=5.0, least=0.0, role="losses", symbol="U",
+        unit="W/(m² K)",
+        default=6.0,
+        bounds=(1.0, 60.0),
+        scale=5.0,
+        least=0.0,
+        role="losses",
+        symbol="U",
         text="convection to the room",
-    )  # fmt: skip
+    )
     heating = Parameter(
         unit="W/%",
         default=0.01,
@@ -138,9 +151,17 @@ class TCLab(Plant, name="tclab"):
         text="power of heater 1",
     )
     ambient = Parameter(
-        unit="K", default=296.0, bounds=(263.0, 323.0), scale=10.0, least=150.0, most=600.0, relative=False,
-        role="room", symbol="T_∞", text="temperature of the room",
-    )  # fmt: skip
+        unit="K",
+        default=296.0,
+        bounds=(263.0, 323.0),
+        scale=10.0,
+        least=150.0,
+        most=600.0,
+        relative=False,
+        role="room",
+        symbol="T_∞",
+        text="temperature of the room",
+    )
     sensor_lag = Parameter(
         unit="s",
         default=15.0,
@@ -158,13 +179,22 @@ class TCLab(Plant, name="tclab"):
         text="dead time of a heater",
     )
     exchange = Parameter(
-        unit="W/(m² K)", default=10.0, bounds=(0.0, 200.0), scale=10.0, least=0.0, symbol="U_S",
+        unit="W/(m² K)",
+        default=10.0,
+        bounds=(0.0, 200.0),
+        scale=10.0,
+        least=0.0,
+        symbol="U_S",
         text="convection between the heaters",
-    )  # fmt: skip
+    )
     second_heating = Parameter(
-        unit="W/%", default=0.0075, bounds=(0.0005, 0.05), positive=True, symbol="α₂",
+        unit="W/%",
+        default=0.0075,
+        bounds=(0.0005, 0.05),
+        positive=True,
+        symbol="α₂",
         text="power of heater 2",
-    )  # fmt: skip
+    )
     heat_capacity = Parameter(
         unit="J/K",
         default=2.0,
@@ -287,9 +317,16 @@ class TCLabBoth(TCLab, name="tclab-both"):
         unit="%", limits=(0.0, 100.0), noise=2.0, text="heater 2", symbol="Q₂"
     )
     second_temperature = Output(
-        unit="°C", noise=0.12, span=(-45.0, 130.0), set_points=(25.0, 70.0), safe=(0.0, 75.0),
-        absolute=KELVIN, text="temperature T2", symbol="T₂", sensor="kit",
-    )  # fmt: skip
+        unit="°C",
+        noise=0.12,
+        span=(-45.0, 130.0),
+        set_points=(25.0, 70.0),
+        safe=(0.0, 75.0),
+        absolute=KELVIN,
+        text="temperature T2",
+        symbol="T₂",
+        sensor="kit",
+    )
     second_sensor = State(
         unit="K", span=(263.0, 423.0), text="temperature of sensor 2", symbol="T_C2"
     )

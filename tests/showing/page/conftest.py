@@ -156,11 +156,11 @@ class Browser:
         wait_for(clicked, f"the button {label}")
 
     def column(self, chart: str, renderer: int, name: str) -> list[float]:
-        """What a chart draws."""
+        """What a chart draws; empty while the page is being built again, which takes its charts away."""
         return list(
             self.run(
                 "return Array.from(Bokeh.documents[0].get_model_by_name(arguments[0])"
-                ".renderers[arguments[1]].data_source.data[arguments[2]])",
+                "?.renderers[arguments[1]].data_source.data[arguments[2]] ?? [])",
                 chart,
                 renderer,
                 name,
