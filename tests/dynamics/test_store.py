@@ -84,7 +84,7 @@ def load_afresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[],
         none = np.zeros(0)
         reached = kernels.advance(vector, still, np.array([3.0]), none, 1.0, 40)
         assert reached[0] == pytest.approx(6.0 * (1.0 - math.exp(-1.0)), rel=1e-6)
-        (stored,) = (tmp_path / "cache").iterdir()
+        (stored,) = (tmp_path / "cache").glob("lag_*.code")
         return stored
 
     return load
@@ -99,11 +99,14 @@ def test_a_second_use_takes_what_the_first_has_compiled(
     assert stored.stat().st_mtime_ns == before.st_mtime_ns
 
 
-def test_a_damaged_file_is_compiled_again(load_afresh: Callable[[], Path]) -> None:
+def test_a_damaged_file_is_compiled_again(
+    load_afresh: Callable[[], Path], tmp_path: Path
+) -> None:
     stored = load_afresh()
     whole = stored.read_bytes()
     for damaged in (b"", whole[: len(whole) // 2], whole[:-1], bytes(reversed(whole))):
-        stored.write_bytes(damaged)
+        for file in (tmp_path / "cache").iterdir():
+            file.write_bytes(damaged)
         assert load_afresh().read_bytes() == whole
 
 
@@ -111,9 +114,22 @@ def test_two_programs_may_come_at_once(start: Start, tmp_path: Path) -> None:
     first = start()
     second = start()
     assert float(ended(first)) == float(ended(second)) == pytest.approx(1.5)
-    assert [
-        path.suffix for path in (tmp_path / "cache").iterdir() if path.is_file()
-    ] == [".code"]
+    names = sorted(path.name for path in (tmp_path / "cache").iterdir())
+    assert re.fullmatch(
+        r"equations_[0-9a-f]+\.code tank_[0-9a-f]+\.code", " ".join(names)
+    )
+
+
+def test_what_does_not_change_the_equations_compiles_nothing(
+    start: Start, tmp_path: Path
+) -> None:
+    ended(start())
+    (compiled,) = (tmp_path / "cache").glob("equations_*.code")
+    before = compiled.stat()
+    (tmp_path / "tank.py").write_text(PLANT.replace("default=2.0", "default=4.0"))
+    assert float(ended(start())) == pytest.approx(1.25)
+    assert list((tmp_path / "cache").glob("equations_*.code")) == [compiled]
+    assert compiled.stat().st_mtime_ns == before.st_mtime_ns
 
 
 def test_a_changed_plant_is_derived_again(start: Start, tmp_path: Path) -> None:

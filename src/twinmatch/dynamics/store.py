@@ -1,8 +1,10 @@
 """Storage of the machine code made from a plant's equations: one file per plant and set of parts.
 
 Its name carries a hash of everything it is made from: the sources of plant and compiler, the versions of the
-libraries involved, and the processor. So any change gives a new file, and an outdated one is never run. The
-folder is `$TWINMATCH_CACHE`, or `twinmatch` in the user's cache folder.
+libraries involved, and the processor. So any change gives a new file, and an outdated one is never run. A
+second file has the derived equations in its name instead of the plant's sources: a change of a default, a
+bound or a comment takes that one, and nothing is compiled. The folder is `$TWINMATCH_CACHE`, or `twinmatch`
+in the user's cache folder.
 """
 
 from __future__ import annotations
@@ -127,8 +129,8 @@ def kernels_of(
         )
         content = _whole(path)
         if content is None:
-            content = _compile_plant(plant, parts, unknown)
-            _write_atomically(path, hashlib.sha256(content).digest() + content)
+            content = _code_of_equations(plant.name, derive(plant(), parts, unknown))
+            _write_atomically(path, content)
         head, _, machine_code = content.partition(b"\n")
         _LOADED[key] = Kernels(machine_code, **json.loads(head))
     return _LOADED[key]
@@ -150,13 +152,20 @@ def _whole(path: Path) -> bytes | None:
     )
 
 
-def _compile_plant(
-    plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]
-) -> bytes:
-    """A line with all names and sizes, and the machine code."""
-    for tell in told:
-        tell(f"the equations of {plant.name}")
-    derived = derive(plant(), parts, unknown)
+def _code_of_equations(plant: str, derived: Derived) -> bytes:
+    """A line with all names and sizes, and the machine code; kept for all plants with these equations."""
+    path = cache_folder() / f"equations_{_fingerprint_of_equations(derived)}.code"
+    content = _whole(path)
+    if content is None:
+        for tell in told:
+            tell(f"the equations of {plant}")
+        content = _compile(derived)
+        _write_atomically(path, content)
+    return content
+
+
+def _compile(derived: Derived) -> bytes:
+    """The content of such a file."""
     formulas = plant_formulas(derived)
     symbols_by_kind = {
         "states": derived.states,
@@ -189,13 +198,13 @@ def digest_of(derived: Derived) -> str:
 
 
 def _write_atomically(path: Path, content: bytes) -> None:
-    """Write a file atomically: several processes may write it at the same time."""
+    """Write content after its hash, atomically: several processes may write the file at the same time."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, draft = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
         try:
             with os.fdopen(handle, "wb") as file:
-                file.write(content)
+                file.write(hashlib.sha256(content).digest() + content)
             Path(draft).replace(path)
         except BaseException:
             with contextlib.suppress(OSError):
@@ -211,21 +220,32 @@ def _write_atomically(path: Path, content: bytes) -> None:
 def _fingerprint(
     plant: type[PlantDefinition], parts: frozenset[str], unknown: frozenset[str]
 ) -> str:
-    identity = (
-        sys.version_info[:2],
-        host(),
-        plant.__qualname__,
-        sorted(parts),
-        sorted(unknown),
-    )
-    digest = hashlib.sha256(repr(identity).encode())
+    """A hash of all that the code of a plant is made from: its sources as they are in its files."""
+    chosen = (plant.__qualname__, sorted(parts), sorted(unknown))
+    digest = _digest_of_compiler(repr(chosen))
+    for file in sorted(_sources(plant)):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _fingerprint_of_equations(derived: Derived) -> str:
+    """The same, of a plant whose equations are derived, with every digit of their numbers."""
+    import sympy  # noqa: PLC0415
+
+    quantities = tuple(derived.quantities.items())  # their order counts
+    in_order = {**vars(derived), "quantities": quantities}
+    parts = [f"{name} {sympy.srepr(value)}" for name, value in in_order.items()]
+    return _digest_of_compiler("\n".join(parts)).hexdigest()[:16]
+
+
+def _digest_of_compiler(equations: str) -> hashlib._Hash:
+    """A hash of equations, however they are written, and of the compiler, its libraries and the processor."""
+    digest = hashlib.sha256(repr((sys.version_info[:2], host(), equations)).encode())
     for file in (_HERE / name for name in _COMPILER):
         digest.update(file.read_bytes())
     for program in _PROGRAMS:
         digest.update(importlib.metadata.version(program).encode())
-    for file in sorted(_sources(plant)):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()[:16]
+    return digest
 
 
 def source_hash(plant: type[PlantDefinition]) -> str:
