@@ -23,7 +23,8 @@ BREAKS = 295
 ENDS = 490
 SAID = "no verdict could be made, because of a defect"
 PARTS = (
-    "twin.engine.Door.take",
+    "twin.door.Refusals.settle",
+    "twin.door.GapFiller.take",
     "twin.engine.Monitor.push",
     "twin.engine.Schedule.push",
     "twin.engine.BandHistory.push",
