@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from tests.showing.test_terminal import last_screen, shown
+from twinmatch import showing
 from twinmatch.cli import main
 from twinmatch.comparing import TrustLevel, statements_of
 from twinmatch.description import Quantity
@@ -60,6 +62,13 @@ def test_the_page_says_of_which_output_the_levels_are(two: Judgement) -> None:
     levels = str(two.summary.range)
     assert levels.endswith(f"°C of {T1}")
     assert what_to_do(state).endswith(f"its forecasts have come true {levels}.")
+
+
+def test_no_display_takes_the_first_of_several() -> None:
+    """It would show a part as the whole; a single loop has `.output`, which several do not."""
+    for path in Path(showing.__file__).parent.rglob("*.py"):
+        firsts = re.findall(r"\.(?:references|outputs|inputs)\[0\]", path.read_text())
+        assert firsts == [], path
 
 
 def test_misses_are_those_of_the_signals_in_their_order(two: Judgement) -> None:
