@@ -208,7 +208,7 @@ class _LiveRun(Supervised):
 
     def __init__(self, live: Live, view: Screen | Lines) -> None:
         super().__init__(view)
-        self._live = live
+        self.live = live
         self._plan = live.plan
         self._errors = Errors(view.say)
         self._addresses: dict[str, str] = {}
@@ -222,7 +222,7 @@ class _LiveRun(Supervised):
         """Start everything; the rig last, after all subscribers."""
         plan = self._plan
         node.create_subscription(
-            LoopSample, "plant/sample", self._live.take_sample, EVERYTHING
+            LoopSample, "plant/sample", self.live.take_sample, EVERYTHING
         )
         if plan.virtual is not None:
             self.view.say("starting the virtual rig")
@@ -244,7 +244,7 @@ class _LiveRun(Supervised):
 
     def check(self, node: Watch) -> int | None:  # noqa: ARG002
         """Restart processes that may be restarted; over once one is lost, or all samples are judged."""
-        live = self._live
+        live = self.live
         live.settle(
             lambda sample: self.settled.complete(sample, live.results.tally.verdicts)
         )
@@ -268,7 +268,7 @@ class _LiveRun(Supervised):
 
     def take_verdict(self, verdict: Verdict) -> None:
         """Count and show it."""
-        self._live.take_verdict(verdict)
+        self.live.take_verdict(verdict)
         self.view.take_verdict(verdict)
 
     def take_health(self, message: DiagnosticArray) -> None:
@@ -348,7 +348,7 @@ class _LiveRun(Supervised):
             # no other process can have a law put on trial
             self.processes.environment[SECRET] = self._secret
         if name == "recorder":
-            self._live.sessions.append(self._next_session())
+            self.live.sessions.append(self._next_session())
         program = plan.wiring.program if name == plan.driver else name
         self.processes.start_module(
             name, "twinmatch.nodes", program, *self._arguments(name)
@@ -361,9 +361,9 @@ class _LiveRun(Supervised):
         if name == "twin":
             return plan.twin_arguments()
         if name == "recorder":
-            first, *later_sessions = self._live.sessions
+            first, *later_sessions = self.live.sessions
             return plan.recorder_arguments(
-                self._live.sessions[-1], first.name if later_sessions else ""
+                self.live.sessions[-1], first.name if later_sessions else ""
             )
         readers = (
             READERS
@@ -374,5 +374,5 @@ class _LiveRun(Supervised):
 
     def _next_session(self) -> Path:
         first = self._plan.session or Path("session")
-        number = len(self._live.sessions)
+        number = len(self.live.sessions)
         return first if number == 0 else first.with_name(f"{first.name}_{number + 1}")
