@@ -36,7 +36,7 @@ from twinmatch.controllers import (
     next_experiment,
     try_controller,
 )
-from twinmatch.controllers.next_experiment import LEAD, _root, _Search
+from twinmatch.controllers.next_experiment import LEAD, ExperimentSearch, _root
 from twinmatch.dynamics import Law, Plant, advance, begin, law_of, pids_of, readings
 from twinmatch.plants import Peltier, TCLab
 from twinmatch.signals import FloatArray, Sample
@@ -236,7 +236,7 @@ def learned(
 ) -> tuple[FloatArray, FloatArray]:
     """Parameters and their covariance after these readings, by steps of Gauss and Newton."""
     assert twin.covariance is not None
-    search = _Search([twin], asked.found.goal, asked.found.terms)
+    search = ExperimentSearch([twin], asked.found.goal, asked.found.terms)
     seen = search.run(Contender(twin), outputs, inputs)
     root = _root(Contender(twin))
     n = len(root)

@@ -141,6 +141,9 @@ class Loop:
     one. If the clock is set back, the grid restarts after a gap.
     """
 
+    pids: list[Controller]
+    """The controllers, one of each output; new ones after a gap."""
+
     def __init__(
         self,
         plant: type[Plant],
@@ -193,7 +196,7 @@ class Loop:
         rows = (
             repeat(None) if state is None else np.reshape(state, (len(self._gains), -1))
         )
-        self._pids = [
+        self.pids = [
             Controller(gains, row)
             for gains, row in zip(self._gains, rows, strict=False)
         ]
@@ -256,7 +259,7 @@ class Loop:
         disturbances or of what is taken, are only counted.
         """
         read = point_values(outputs)
-        whole = len(read) == len(self._pids) and len(disturbances) in (
+        whole = len(read) == len(self.pids) and len(disturbances) in (
             0,
             len(self._plant.disturbances),
         )
@@ -309,7 +312,7 @@ class Loop:
     def _switch_off(self, trouble: str, number: int) -> None:
         """Switch the output off at a tick that makes no sample."""
         self.trouble = trouble
-        self.inputs = [0.0] * len(self._pids)
+        self.inputs = [0.0] * len(self.pids)
         self._restart = True
         if self.trying:
             self.take_back(trouble)
@@ -321,7 +324,7 @@ class Loop:
         """Restart the controllers behind missed ticks, of which a trial has no readings."""
         self._restart = True
         if self.trial is not None and self.trying:
-            lost = (math.nan,) * len(self._pids)
+            lost = (math.nan,) * len(self.pids)
             self._show(self.trial, repeat(lost, missed))
 
     def _commands(self, references: Signals) -> list[float]:
@@ -332,7 +335,7 @@ class Loop:
             return self.inputs
         if self.trial is not None and self.trying:
             self._watch(self.trial, references)
-        commands = [self._step(k, references[k]) for k in range(len(self._pids))]
+        commands = [self._step(k, references[k]) for k in range(len(self.pids))]
         self._restart = False
         return commands
 
@@ -380,7 +383,7 @@ class Loop:
         self._gains = self._beside
         self._beside = driving
         self.shadow = ()
-        self._pids = [Controller(loop_gains) for loop_gains in self._gains]
+        self.pids = [Controller(loop_gains) for loop_gains in self._gains]
         self._restart = True
 
     def _show(self, trial: LawTrial, read: Iterable[Signals]) -> None:
@@ -409,7 +412,7 @@ class Loop:
 
     def _step(self, k: int, reference: float) -> float:
         """One step of a PID; returns what passes of its command."""
-        pid = self._pids[k]
+        pid = self.pids[k]
         stands_in = not math.isnan(self._taken[k])
         output = self._taken[k] if stands_in else self._outputs[k]
         if self._restart or stands_in != self._stood_in[k]:
@@ -458,7 +461,7 @@ class Loop:
             return f"the newest {names} is {age:.1f} s old; {working}"
         if references is None:
             return "no set-point yet"
-        if len(references) != len(self._pids):
+        if len(references) != len(self.pids):
             return f"{len(references)} set-points are given for {names}"
         wrong = next(
             (reference for reference in references if not math.isfinite(reference)),
@@ -476,6 +479,6 @@ class Loop:
         integral = (
             self.inputs[k] - gains.proportional * error
             if gains.integral
-            else self._pids[k].state[0]
+            else self.pids[k].state[0]
         )
         return np.array([integral, -output if gains.on_measurement else error])

@@ -25,8 +25,8 @@ from twinmatch.controllers import (
 from twinmatch.controllers.next_experiment import (
     ENOUGH,
     NEARLY,
-    _maximal_sequence,
-    _Search,
+    ExperimentSearch,
+    maximal_sequence,
 )
 from twinmatch.dynamics import (
     Drive,
@@ -256,7 +256,7 @@ def test_more_time_never_tells_less_and_information_adds() -> None:
     twins = [lab(known_to(0.2)), lab(known_to(0.1), Ua=0.05)]
     pair = LearningGoal("pair", tuple(map(Contender, twins)), pairs=True)
     for goal in (goal_named("parameters", twins, terms()), pair):
-        curve = _Search(twins, goal, terms(1e3)).curve(
+        curve = ExperimentSearch(twins, goal, terms(1e3)).curve(
             Staircase((1.0, 0.2), (0.3, 1.0), 0)
         )
         assert curve is not None
@@ -266,7 +266,9 @@ def test_more_time_never_tells_less_and_information_adds() -> None:
     better_known = lab(known_to(0.1))
     ends = []
     for twin in (less_known, better_known):
-        search = _Search([twin], goal_named("parameters", [twin], terms()), terms(1e3))
+        search = ExperimentSearch(
+            [twin], goal_named("parameters", [twin], terms()), terms(1e3)
+        )
         curve = search.curve(Staircase((1.0,), (1.0,), 0))
         assert curve is not None
         ends.append(curve[-1])
@@ -304,4 +306,4 @@ def test_what_cannot_be_asked_is_said() -> None:
 
 
 def test_the_binary_sequence_is_the_maximal_one() -> None:
-    np.testing.assert_array_equal(_maximal_sequence(), max_len_seq(5)[0])
+    np.testing.assert_array_equal(maximal_sequence(), max_len_seq(5)[0])

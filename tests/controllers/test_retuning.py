@@ -17,7 +17,7 @@ from twinmatch.controllers import (
     as_linear,
     retune,
 )
-from twinmatch.controllers.retuning import _case
+from twinmatch.controllers.retuning import tuning_case
 from twinmatch.dynamics import Controller, Parameters, PidGains, linearised
 
 GAINS = PidGains(0.3, 0.05, 0.1, 1.0, -10.0, 10.0)
@@ -42,7 +42,7 @@ def retuned(seed: int = 0, gains: PidGains = GAINS, **options: object) -> Retune
 
 @pytest.mark.parametrize("aim", ["load", "tracking"])
 def test_slopes_are_those_of_differences(aim: str) -> None:
-    case = _case(
+    case = tuning_case(
         twins(Lag.model().parameters(), 1, 0.1, 3)[0], GAINS, LEVEL, HOLDING, aim
     )  # type: ignore[arg-type]
     gains = np.array([0.3, 0.05, 0.1])
@@ -123,7 +123,7 @@ def test_a_quieter_command_costs_no_error() -> None:
     quiet = retuned(aim="quiet", max_sensitivity=2.0)
     assert quiet.improvement > 0.03
     assert travel(quiet.after) == pytest.approx((1 - quiet.improvement) * travel(GAINS))
-    case = _case(
+    case = tuning_case(
         TriedTwin("true", Lag.model().parameters()), GAINS, LEVEL, HOLDING, "load"
     )
     costs = [

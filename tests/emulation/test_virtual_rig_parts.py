@@ -103,7 +103,7 @@ def test_a_kit_loses_one_heater_and_a_plate_has_only_one() -> None:
         for _ in range(12_000):
             kit.step()
         state = kit.state()
-        first, second = map(kit._reading, (1, 2))
+        first, second = map(kit.reading, (1, 2))
     assert state["heater"] > 40.0  # °C; what heats the second is the first alone
     assert state["second_heater"] < 30.0
     assert first < 22.0 < second
@@ -403,6 +403,7 @@ def test_a_reader_that_gives_no_sign_of_life_is_given_up_until_it_does(
 class Bare(VirtualPlantTime):
     """A plant of nothing but time."""
 
+    KINDS = frozenset()
     board_kind = board_remark = "none"
 
     def make(self, stack: ExitStack) -> dict[str, str]:  # noqa: ARG002
@@ -415,6 +416,14 @@ class Bare(VirtualPlantTime):
 
     def state(self) -> dict[str, object]:
         return {"time": self.elapsed}
+
+
+def test_a_plant_refuses_what_it_does_not_simulate() -> None:
+    """A kind that is added is accepted by those plants alone that name it."""
+    with pytest.raises(FaultError, match="not available for this plant"):
+        Bare(RigSettings(faults=parse_faults("ambient-step@3")))
+    simulated = {kind.partition(".")[0] for kind in VirtualKit.KINDS | VirtualRig.KINDS}
+    assert simulated == set(KINDS)
 
 
 def test_a_plant_in_step_goes_exactly_as_far_as_it_is_let_and_waits_there() -> None:
@@ -459,7 +468,7 @@ def test_who_drives_with_a_wrong_time_receives_that_of_the_plant() -> None:
 
         def watch() -> None:
             """End once it has told a time at which it was driven."""
-            driven.extend([plant.stamp] if plant._clock.driven else [])
+            driven.extend([plant.stamp] if plant.driven else [])
             if driven and any(stamp >= driven[0] for stamp in heard):
                 plant.request_stop()
 

@@ -217,8 +217,8 @@ def test_its_process_sees_no_socket_and_no_secret_and_ends_with_the_structure(
     monkeypatch.setenv("TWINMATCH_SECRET", "open sesame")
     run_of("")()
     source = _source()
-    process = Path(f"/proc/{source._process._process.pid}")
-    folder = source._process.folder
+    process = Path(f"/proc/{source.start().pid}")
+    folder = source.start().folder
     fds = [str(link.readlink()) for link in (process / "fd").iterdir()]
     assert not [name for name in fds if name.startswith("socket:")]
     assert b"open sesame" not in (process / "environ").read_bytes()
@@ -256,7 +256,7 @@ ORPHAN = """
 import os, signal, sys
 from twinmatch.fmu.process import FmuProcess
 process = FmuProcess()
-print(process._process.pid, process.folder, flush=True)
+print(process.pid, process.folder, flush=True)
 sys.stdin.readline()
 os.kill(os.getpid(), signal.SIGKILL)
 """

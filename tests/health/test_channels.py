@@ -64,9 +64,9 @@ def before_anything_happens() -> Healthy:
     counts = []
     for sample in islice(run(21, "nothing"), BEGINS):
         monitor.push(sample)
-        rehearsal = monitor.competition._rehearsals[0]
-        sums.append(rehearsal._sums[-1])
-        counts.append(rehearsal._count[-1])
+        rehearsal = monitor.competition.rehearsals[0]
+        sums.append(rehearsal.sums[-1])
+        counts.append(rehearsal.counts[-1])
     return Healthy(monitor, sums, counts)
 
 
@@ -245,7 +245,7 @@ def test_beside_a_sensor_that_is_read_through_none_is_rehearsed() -> None:
         through = bool(monitor.competition.through)
         assert not (
             through
-            and any(rehearsal.on for rehearsal in monitor.competition._rehearsals)
+            and any(rehearsal.on for rehearsal in monitor.competition.rehearsals)
         )
     assert (monitor.alarms[-1].fault, monitor.alarms[-1].signal) == (
         Fault.SENSOR_FROZEN,
@@ -295,9 +295,9 @@ def test_a_rehearsal_from_before_the_plant_is_known_counts_until_a_later_one_is_
     monitor, samples = kit_21()
     for sample in islice(samples, 20):
         monitor.push(sample)
-    rehearsal = monitor.competition._rehearsals[0]
-    assert rehearsal._count[-1] == 1.0
-    assert rehearsal._sums[-1] < sums[950]
+    rehearsal = monitor.competition.rehearsals[0]
+    assert rehearsal.counts[-1] == 1.0
+    assert rehearsal.sums[-1] < sums[950]
 
 
 @lru_cache(maxsize=1)

@@ -6,6 +6,8 @@ import pytest
 
 from twinmatch.health import Fault
 from twinmatch.health.faults import PRECEDENCE, SLOW, TRAITS
+from twinmatch.health.sentences import FaultSentences
+from twinmatch.plants import Peltier
 from twinmatch.safety.accusations import ACCUSED
 
 
@@ -19,6 +21,7 @@ def test_a_sentence_has_all_that_it_names(fault: Fault) -> None:
     words = {
         "name": "T1",
         "size": "3 °C",
+        "sensor": "the camera",
         "surroundings": "the room",
         "rivals": "losses",
     }
@@ -50,3 +53,32 @@ def test_a_fault_is_never_replaced_by_itself_and_a_sudden_one_by_none_but_graver
             or TRAITS[fault].unnamed
             or graver < {f for f in Fault if f not in SLOW}
         )
+
+
+@pytest.mark.parametrize(
+    ("fault", "parameter", "words"),
+    [
+        (Fault.DRIVE_LOST, "", {"name": "the drive"}),
+        (Fault.DRIVE_WEAK, "", {"name": "the drive", "size": "55%"}),
+        (
+            Fault.SENSOR_DRIFT,
+            "",
+            {"name": "the plate temperature", "size": "+3 °C", "sensor": "the camera"},
+        ),
+        (
+            Fault.ROOM_CHANGED,
+            "ambient",
+            {"name": "temperature of the room", "size": "+3 K"},
+        ),
+    ],
+)
+def test_a_change_is_said_in_the_sentence_of_its_row(
+    fault: Fault, parameter: str, words: dict[str, str]
+) -> None:
+    """On a plant with one loop as on one with several: a kind has one sentence."""
+    plant = Peltier
+    sentences = FaultSentences(plant.model(), 1.0)
+    everything = {"size": "", "sensor": "", "surroundings": plant.surroundings} | words
+    expected = TRAITS[fault].sentence.format(**everything)
+    declared = plant.parameters.get(parameter)
+    assert sentences.changed(fault, declared, shift=3.0, share=0.55) == expected

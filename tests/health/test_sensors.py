@@ -61,7 +61,7 @@ def test_a_run_of_a_frozen_sensor_is_not_how_it_usually_reads() -> None:
     for value in (50.0, 51.0, 51.0):
         sensor.read(value, True)
         sensor.learn(value, True, math.log(0.5))
-    assert sensor._run_lengths.continues(300) == 0.0
+    assert sensor.run_lengths.continues(300) == 0.0
 
 
 def test_only_a_movement_that_stays_is_a_jump() -> None:

@@ -96,7 +96,8 @@ def test_refusals_of_a_whole_graph_are_a_page_and_not_a_log(
         for name, health in nodes.items():
             report = health.report()
             screen.take(name, report.message, bytes([report.level]))
-    counted = sum(int(value) for value in entrances[0]._health.report().values.values())
+    report = nodes["node_0"].report()
+    counted = sum(map(int, report.values.values()))
     assert counted > 150
     assert sum(map(len, screen.lines)) < 5000
 

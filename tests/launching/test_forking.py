@@ -136,7 +136,7 @@ def test_without_its_parent_it_ends(tmp_path: Path, program: str) -> None:
         "import sys\nfrom twinmatch.launching.forking import fork_server\n"
         f"words = [{program!r}, 'wait']\n"
         "done = fork_server().start(*words, output=1, environment={})\n"
-        "print(done.pid, fork_server()._process.pid, flush=True)\ndone.wait()\n"
+        "print(done.pid, fork_server().pid, flush=True)\ndone.wait()\n"
     )
     parent = Process(sys.executable, "-c", text, output=tmp_path / "output")
     forked, server = map(int, parent.said(r"^(\d+) (\d+)$").groups())

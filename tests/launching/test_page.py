@@ -34,7 +34,7 @@ from twinmatch.showing.console import Console
 from twinmatch.showing.terminal import MAX_EVENTS, Screen
 from twinmatch.showing.verdicts import events
 from twinmatch.signals import Sample
-from twinmatch.twin import Settling, TwinSettings, filled_stretches
+from twinmatch.twin import Door, TwinSettings, filled_stretches
 
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 pytest.importorskip(
@@ -333,14 +333,14 @@ def test_a_live_run_settles_its_samples_as_the_discriminator_did() -> None:
     samples = untaught.spiked()
     verdicts = list(untaught.judged().verdicts)
     live = Live(LivePlan(Path("rig.yaml")))
-    live.settling = Settling(untaught.settings())
+    live.door = Door(untaught.settings())
     for sample in samples:
         live.take_sample(sample)
         if sample.index % 70 == 0:  # and then all at once
             while verdicts and verdicts[0].sample <= sample.index - 40:
                 live.take_verdict(verdicts.pop(0))
             live.settle(lambda before, now=sample.index - 40: before <= now)
-    assert not live.settling.waiting, "the twin is known"
+    assert not live.door.waiting, "the twin is known"
     window, stretches = live.results.longest(1.0)
     assert (stretches, live.received) == (1, len(samples))
     assert window.lost == judgement.stretches[0].lost
@@ -357,7 +357,7 @@ def test_the_figures_of_the_end_are_those_of_all_samples_and_verdicts(
     law = None
     for received in (samples, holed):
         live = Live(LivePlan(Path("rig.yaml")))
-        live.settling = Settling(settings)
+        live.door = Door(settings)
         for sample in received:
             live.take_sample(sample)
         for verdict in verdicts:

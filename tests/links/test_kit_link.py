@@ -79,9 +79,9 @@ def test_it_sets_heaters_and_reads_sensors_whatever_stands_between_while_somebod
         kit.say(b"\xff\x00 99.9\r\n12")
         time.sleep(0.02)
         assert link.drive(40.0, 0.0) == (41.25, 30.5, 40.0, 0.0)
-    assert link._process is not None
-    assert link._process.stdin is not None
-    link._process.stdin.close()
+    assert link.keeper is not None
+    assert link.keeper.stdin is not None
+    link.keeper.stdin.close()
     wait_for_both_off(kit)
 
 

@@ -510,7 +510,7 @@ def program(
     yield inside
     inside.end()
     for run in launchers:
-        run._live.results.close()
+        run.live.results.close()
 
 
 def receiving(program: Inside) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import pytest
 from rclpy.clock import ROSClock
 from rclpy.time import Time
+from rclpy.time_source import TimeSource
 
 from twinmatch.nodes.fields import MessageError
 from twinmatch.nodes.gated import EVERY_MOVE, ClockTimes, OutputGate
@@ -72,7 +73,9 @@ def kind_of(gate: OutputGate) -> FaultKind | None:
 def test_simulated_time_that_moves_wakes_who_waits_at_the_gate() -> None:
     gate = OutputGate(Clocks())
     clock = ROSClock()
-    clock._set_ros_time_is_active(True)
+    source = TimeSource()
+    source.attach_clock(clock)
+    source.ros_time_is_active = True
     moves = clock.create_jump_callback(EVERY_MOVE, post_callback=gate.wake)
     driver = threading.Thread(target=gate.wait, args=(1e6,), daemon=True)
     driver.start()

@@ -228,7 +228,7 @@ def test_noise_on_the_line_is_borne(stand_in: Bench) -> None:
     try:
         count_before = len(stand_in.reports)
         for number in range(40):
-            stand_in.board._line.write(noise[number % 5])
+            stand_in.board.line.write(noise[number % 5])
             os.write(descriptor, noise[(number + 2) % 5])
             time.sleep(0.02)
     finally:

@@ -495,7 +495,7 @@ def test_a_disk_that_fills_up_ends_it_with_a_whole_session(
     start: Start, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     free = 20_000_000
-    monkeypatch.setattr(recording, "_free", lambda _: free)
+    monkeypatch.setattr(recording, "free_bytes", lambda _: free)
     process = start("recorder", *into(tmp_path)[:-1], "min_free_mb:=10.0")
     rig.wait_for_reader()
     for k in range(10):

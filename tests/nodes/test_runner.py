@@ -125,14 +125,12 @@ def test_threads_end_before_the_executor_then_nodes_then_the_context() -> None:
 
         def close(self) -> bool:
             order.append(
-                f"threads, executor {nodes._executor is not None}, context {context.ok()}"
+                f"threads, executor {nodes.has_executor}, context {context.ok()}"
             )
             return super().close()
 
         def destroy_node(self) -> None:
-            order.append(
-                f"node, executor {nodes._executor is not None}, context {context.ok()}"
-            )
+            order.append(f"node, executor {nodes.has_executor}, context {context.ok()}")
             super().destroy_node()
 
     nodes.start([Telling], ["program"])

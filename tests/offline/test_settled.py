@@ -137,7 +137,6 @@ def test_where_a_twin_runs_its_answer_is_taken() -> None:
             name in text
             for name in (
                 "Door",
-                "Settling",
                 "filled_stretches(",
                 "GapFiller",
                 "Refusals(",

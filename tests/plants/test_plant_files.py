@@ -24,7 +24,7 @@ from twinmatch.plants import (
     plant_named,
     written_name,
 )
-from twinmatch.plants.files import _declared
+from twinmatch.plants.files import declared_plants
 
 
 def test_a_plant_is_found_by_its_file_and_then_by_its_name(tmp_path: Path) -> None:
@@ -325,7 +325,7 @@ def installed(folder: Path, value: str, monkeypatch: pytest.MonkeyPatch) -> None
         f"[twinmatch.plants]\nblock_package = {value}\n"
     )
     monkeypatch.syspath_prepend(folder)
-    _declared.cache_clear()
+    declared_plants.cache_clear()
 
 
 def test_a_plant_of_an_installed_package_is_found_by_its_name(
@@ -341,7 +341,7 @@ def test_a_plant_of_an_installed_package_is_found_by_its_name(
             find_plant("another")
     finally:
         monkeypatch.undo()
-        _declared.cache_clear()
+        declared_plants.cache_clear()
 
 
 def test_what_a_package_declares_wrongly_is_reported(
@@ -357,7 +357,7 @@ def test_what_a_package_declares_wrongly_is_reported(
             find_plant("block_package")
     finally:
         monkeypatch.undo()
-        _declared.cache_clear()
+        declared_plants.cache_clear()
 
 
 @pytest.mark.parametrize(

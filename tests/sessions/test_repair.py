@@ -238,9 +238,9 @@ def test_a_copy_that_is_not_the_same_does_not_take_the_place(
 ):
     folder = record(tmp_path / "run")
     before = content(folder)
-    real = repairing._rewrite
+    real = repairing.rewrite
     monkeypatch.setattr(
-        repairing, "_rewrite", lambda copy, *more: (real(copy, *more), spoil(copy))
+        repairing, "rewrite", lambda copy, *more: (real(copy, *more), spoil(copy))
     )
     with pytest.raises(SessionError, match=message):
         repair_session(folder)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,15 +11,20 @@ import pytest
 from matplotlib.figure import Figure
 
 from tests.showing.test_terminal import last_screen, shown
+from twinmatch import showing
 from twinmatch.cli import main
 from twinmatch.comparing import TrustLevel, statements_of
 from twinmatch.description import Quantity
 from twinmatch.health import EstimatedReading
 from twinmatch.offline.judging import Judgement
+from twinmatch.plants.records import description_of
 from twinmatch.sessions import read_session, write_session
 from twinmatch.sessions.metadata import PLANT
 from twinmatch.showing.figures.drawing import cells_for
 from twinmatch.showing.lines import line_text
+from twinmatch.showing.page.panels import what_to_do
+from twinmatch.showing.page.state import DashboardState
+from twinmatch.showing.quantities import shown_outputs
 from twinmatch.showing.summary import document, sentence
 from twinmatch.showing.verdicts import estimate_words, missed, trust_by_signal
 
@@ -43,6 +49,35 @@ def test_the_summary_names_every_output(two: Judgement) -> None:
         "temperature",
         "second_temperature",
     ]
+
+
+def test_the_page_says_of_which_output_the_levels_are(two: Judgement) -> None:
+    """A verdict records levels of the first output; the page and the summary say so in the same words."""
+    settings = two.settings
+    state = DashboardState(described=description_of(settings.plant))
+    for sample in two.samples:
+        state.push_sample(sample, 0.0)
+    for verdict in two.verdicts:
+        state.push_verdict(replace(verdict, level=TrustLevel.TRUSTED, fault=""))
+    levels = str(two.summary.range)
+    assert levels.endswith(f"°C of {T1}")
+    assert what_to_do(state).endswith(f"its forecasts have come true {levels}.")
+
+
+def test_no_display_takes_the_first_of_several() -> None:
+    """It would show a part as the whole; a single loop has `.output`, which several do not."""
+    for path in Path(showing.__file__).parent.rglob("*.py"):
+        firsts = re.findall(r"\.(?:references|outputs|inputs)\[0\]", path.read_text())
+        assert firsts == [], path
+
+
+def test_misses_are_those_of_the_signals_in_their_order(two: Judgement) -> None:
+    last = two.verdicts[-1]
+    outputs = shown_outputs(two.settings.plant)
+    assert [signal.name for signal in outputs] == [T1, T2]
+    assert last.misses == tuple(score.miss for score in last.signals)
+    # recorded before verdicts had scores of signals: nothing may be said of a wrong signal
+    assert replace(last, signals=()).misses == ()
 
 
 def test_a_terminal_has_a_row_for_each_signal(two: Judgement) -> None:

@@ -23,8 +23,8 @@ from twinmatch.offline.summary import (
     SessionSummary,
     Tally,
     TrustRange,
+    held_levels,
     summarise,
-    trust_range,
 )
 from twinmatch.plants import Peltier
 from twinmatch.showing.console import Console
@@ -528,17 +528,14 @@ def test_without_a_leader_there_is_nothing_to_doubt() -> None:
 def test_where_forecasts_held_is_rounded_to_the_inside_and_to_the_plants_places() -> (
     None
 ):
-    held_range = trust_range([(22.3, 89.7)], "°C", 1)
+    held_range = held_levels(Peltier, [(22.3, 89.7)])
     assert held_range == TrustRange(((22.3, 89.7),), "°C")
     assert str(held_range) == "between 23 and 89 °C"
     # Readings of the tank have a noise of 0.005 l/s; in whole litres there would be no range at all.
-    assert (
-        str(trust_range([(0.612, 0.977)], "l/s", Tank.output.decimals))
-        == "between 0.62 and 0.97 l/s"
-    )
+    assert str(held_levels(Tank, [(0.612, 0.977)])) == "between 0.62 and 0.97 l/s"
     # nothing is left to round away
     assert str(TrustRange(((0.302, 0.309),), "l/s", 2)) == "between 0.30 and 0.31 l/s"
-    assert trust_range([], "°C", 1) is None
+    assert held_levels(Peltier, []) is None
 
 
 def test_all_levels_at_which_forecasts_held_are_named_or_the_widest() -> None:
@@ -553,7 +550,7 @@ def test_all_levels_at_which_forecasts_held_are_named_or_the_widest() -> None:
     tally = Tally(replace(LED, held_low=low, held_high=high) for low, high in ranges)
     assert tally.held == [(24.3, 33.0), (80.5, 92.7)]
     assert (
-        str(trust_range(tally.held, "°C", 1))
+        str(held_levels(Peltier, tally.held))
         == "between 25 and 33 °C and between 81 and 92 °C"
     )
     many = TrustRange(

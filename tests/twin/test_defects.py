@@ -23,7 +23,8 @@ BREAKS = 295
 ENDS = 490
 SAID = "no verdict could be made, because of a defect"
 PARTS = (
-    "twin.engine.Door.take",
+    "twin.door.Refusals.settle",
+    "twin.door.GapFiller.take",
     "twin.engine.Monitor.push",
     "twin.engine.Schedule.push",
     "twin.engine.BandHistory.push",
@@ -49,7 +50,7 @@ PARTS = (
     "twin.entrants.Standings.sentence",
     "twin.engine.verdict_of",
     "twin.knowledge.trust_of",
-    "twin.knowledge._signals",
+    "twin.knowledge.signal_scores",
 )
 
 
@@ -190,7 +191,7 @@ def test_without_a_test_the_same_defect_is_a_warning_and_here_an_error(
 def test_a_match_that_a_defect_prevents_is_refused_in_words(
     samples: list[Sample], twin: Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twinmatch.twin.matcher._logged", {})
+    monkeypatch.setattr("twinmatch.twin.matcher.logged_defects", {})
     broken = Broken(monkeypatch, "twin.matcher.match", ZeroDivisionError("a slip"))
     with pytest.warns(DefectWarning, match="a window could not be matched"):
         verdicts = run(samples[BREAKS:ENDS], broken, twin)

@@ -89,12 +89,13 @@ def test_neither_range_nor_windows_hold_a_refused_reading(
     came = [s for s in spiked(session, spikes) if s.index not in lost]
     low = min(s.output for s in session)
     high = max(s.output for s in session)
-    door = Door.of(SETTINGS)
+    door = Door(SETTINGS)
     schedule = Schedule(SETTINGS.schedule)
     arx = Arx(SETTINGS.law, 0.99)
     windows = []
     for sample in came:
-        *before, settled = door.take(sample)
+        door.push(sample)
+        *before, settled = door.settled()
         assert settled.seen == (sample.index not in spikes)
         assert settled.refused == (() if settled.seen else sample.outputs)
         for settled_sample in (*before, settled):
@@ -117,12 +118,10 @@ def test_after_more_than_a_gap_may_have_everything_starts_over(
 ) -> None:
     """A camera that has moved by 12 °C is taken again where it is now, but nothing reaches across."""
     moved = {s.index: s.output + 12.0 for s in simulated_session[130:180]}
-    door = Door.of(SETTINGS)
-    came = [
-        settled
-        for sample in spiked(simulated_session[:300], moved)
-        for settled in door.take(sample)
-    ]
+    door = Door(SETTINGS)
+    for sample in spiked(simulated_session[:300], moved):
+        door.push(sample)
+    came = door.settled()
     refused = [s.index for s in came if s.refused]
     unusable = [s.index for s in came if not s.usable]
     assert refused == [*range(130, 131 + LONGEST), *range(180, 181 + LONGEST)]

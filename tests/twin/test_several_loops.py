@@ -215,7 +215,7 @@ def on_estimates() -> RunOnEstimates:
         if outcome.estimates:
             run.newest_estimate = sample.index
         if outcome.estimates and sample.index < 1100:
-            integral = loop._pids[0].state[0]
+            integral = loop.pids[0].state[0]
             forecasters = (twin.discriminator.forecaster, uninformed)
             run.errors.append(
                 [

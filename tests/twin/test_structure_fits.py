@@ -208,9 +208,7 @@ def test_all_but_the_matched_compete_and_a_fit_says_where_its_states_were() -> N
     fits.push(window, excited=True)
     assert {c.parameters.model for c in fits.candidates} == set(watched(Peltier)[1:])
     best = fits.candidates[0]
-    charges = [
-        fits._competitors[candidate.name].fit.charge for candidate in fits.candidates
-    ]
+    charges = list(map(fits.charge_of, fits.candidates))
     assert charges == sorted(charges), "the fit that is worth most goes first"
     states = best.states_at(window.last)
     assert states is not None

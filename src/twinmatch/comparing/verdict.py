@@ -397,6 +397,15 @@ class Verdict:
         )
 
     @property
+    def misses(self) -> tuple[float, ...]:
+        """The miss of each output, then of each input that was forecast, in the order of the plant file, as
+        `SignalScore.miss`; recorded verdicts of a single loop may have no scores of signals."""
+        plant = self.plant
+        if self.signals or (plant is not None and not plant.single):
+            return tuple(score.miss for score in self.signals)
+        return self.miss_y, self.miss_u
+
+    @property
     def modelled(self) -> tuple[CandidateScore, ...]:
         """The paper's family: the candidates with Box–Jenkins models, which come first, in the order of
         `identified_gap`. The ones after them are other structures of the plant."""

@@ -477,7 +477,7 @@ def next_experiment(
     Raises:
         ControllerError: no course keeps to the range, or a twin cannot be held where it begins.
     """
-    search = _Search(members, goal, terms)
+    search = ExperimentSearch(members, goal, terms)
     ranked = _ranked_by_leaders(search, _staircases(terms), watch)
     tried = _first_within_range(search, ranked)
     if not tried:
@@ -524,7 +524,7 @@ def _missing_at_end(course: _RatedCourse) -> float:
 
 
 def _ranked_by_leaders(
-    search: _Search,
+    search: ExperimentSearch,
     table: Sequence[Staircase],
     watch: Callable[[int, int], None] | None,
 ) -> list[_RatedCourse]:
@@ -540,7 +540,7 @@ def _ranked_by_leaders(
 
 
 def _first_within_range(
-    search: _Search, ranked: Sequence[_RatedCourse]
+    search: ExperimentSearch, ranked: Sequence[_RatedCourse]
 ) -> list[_RatedCourse]:
     """The first few courses that keep the bands of all twins within the range."""
     tried: list[_RatedCourse] = []
@@ -554,7 +554,7 @@ def _first_within_range(
 
 
 def _worth_unless_known(
-    search: _Search, rows: FloatArray, running: FloatArray | None
+    search: ExperimentSearch, rows: FloatArray, running: FloatArray | None
 ) -> CourseWorth:
     """What a course is worth; or what moving nothing is, or what runs already, if that is hardly less."""
     best = search.worth("proposed", rows)
@@ -572,7 +572,7 @@ def characters_by(
     """What readings, shape (N, o), under commands, shape (N, m), say of each contender, in characters, shape
     (contenders,): of those to be told apart how well each predicted them, of others how much narrower their
     parameters are."""
-    search = _Search([found.leader], found.goal, found.terms)
+    search = ExperimentSearch([found.leader], found.goal, found.terms)
     end = np.array([len(outputs)])
     characters = []
     for contender in found.goal.contenders:
@@ -617,7 +617,7 @@ def _staircases(terms: ExperimentTerms) -> list[Staircase]:
     return table
 
 
-def _maximal_sequence() -> NDArray[np.bool_]:
+def maximal_sequence() -> NDArray[np.bool_]:
     """The binary sequence of a shift register of five bits, whose 31 values repeat no earlier.
 
     `scipy.signal.max_len_seq` gives the same, but takes half a second to import.
@@ -636,7 +636,7 @@ def _plain(
     low, high = levels
     size = _PLAIN * (high - low)
     step = np.where(high - base >= base - low, size, -size)
-    sequence = _maximal_sequence()
+    sequence = maximal_sequence()
     repeats = max(len(rows) // sequence.size, 1)
     is_high = np.resize(np.repeat(sequence, repeats), len(rows))
     binary = np.where(is_high[:, None], base + step, base - step)
@@ -647,7 +647,7 @@ def _plain(
     }
 
 
-class _Search:
+class ExperimentSearch:
     """Runs courses on all twins of a family, and rates them by a goal."""
 
     def __init__(
@@ -673,6 +673,7 @@ class _Search:
         )
 
     def rows(self, staircase: Staircase) -> FloatArray:
+        """The set-points or inputs of a course, shape (N, signals)."""
         return staircase.rows(self.base, self.terms.levels, self.terms.size)
 
     def curve(

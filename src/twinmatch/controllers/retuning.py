@@ -64,7 +64,7 @@ class Retuned:
 
 
 @dataclass(frozen=True, eq=False)
-class _Case:
+class TuningCase:
     """One twin where it is held, and its loop as an experiment on the gains."""
 
     plants: tuple[Linear, ...]
@@ -157,7 +157,7 @@ class _Tuning:
     """The search for factors on the gains, given as logarithms x."""
 
     gains: PidGains
-    cases: tuple[_Case, ...]
+    cases: tuple[TuningCase, ...]
     aim: Aim
     ceiling: float
 
@@ -255,12 +255,12 @@ def _cases(
     level: float,
     holding: Holding,
     aim: Aim,
-) -> list[_Case]:
+) -> list[TuningCase]:
     cases = []
     error = "there is none"
     for twin in twins:
         try:
-            cases.append(_case(twin, gains, level, holding, aim))
+            cases.append(tuning_case(twin, gains, level, holding, aim))
         except TwinmatchError as reason:
             error = str(reason)
     if not cases:
@@ -268,9 +268,9 @@ def _cases(
     return cases
 
 
-def _case(
+def tuning_case(
     twin: TriedTwin, gains: PidGains, level: float, holding: Holding, aim: Aim
-) -> _Case:
+) -> TuningCase:
     """One twin at a set-point: a step of it, or a load as an integral that begins off by it."""
     plant = holding.linear(twin.parameters, [level], twin.disturbances)
     model = twin.parameters.model
@@ -300,7 +300,7 @@ def _case(
         free_gains=_tuned(gains),
         law=gains,
     )
-    return _Case(
+    return TuningCase(
         _around(twin, level, holding),
         experiment,
         plant.rest.states,

@@ -368,7 +368,8 @@ class StandInArduino(EmulatedBoard):
     def __init__(self, port: str | Path | None = None) -> None:
         super().__init__(port)
         self.model = ArduinoModel()
-        self._line = SerialPort(self.port)
+        self.line = SerialPort(self.port)
+        """The serial line to its host."""
         self._elapsed_ms = 0
         self._away_ms = 0
         self._lock = threading.RLock()
@@ -411,12 +412,12 @@ class StandInArduino(EmulatedBoard):
         """Unplug the USB cable; the board keeps its power."""
         with self._lock:
             self._away_ms = 0
-            self._line.unplug()
+            self.line.unplug()
 
     def plug(self) -> None:
         """Plug the USB cable in."""
         with self._lock:
-            self._line.plug()
+            self.line.plug()
 
     def close(self) -> None:
         """End the board."""
@@ -427,15 +428,15 @@ class StandInArduino(EmulatedBoard):
         """Advance by one millisecond; returns whether anything was received in it."""
         with self._lock:
             restarts = self.model.restarts
-            data = self._line.read(256) if read else b""
+            data = self.line.read(256) if read else b""
             reply = self.model.tick(data)
             self._elapsed_ms += 1
             self._away_ms = max(0, self._away_ms - 1)
-            if self.model.restarts != restarts and self._line.plugged:
+            if self.model.restarts != restarts and self.line.plugged:
                 self.unplug()
                 self._away_ms = _TIMES.away
             elif self._away_ms == 1:
                 self.plug()
             elif reply:
-                self._line.write(reply)
+                self.line.write(reply)
             return bool(data)

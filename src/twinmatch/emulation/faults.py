@@ -38,7 +38,10 @@ KINDS: Final = {
     "fan-failed": "the fan stops: the heat sink keeps a tenth of its convection",
     "ambient-step": "the surroundings become 10 °C warmer",
 }
-"""Every fault and its effect."""
+"""Every fault and its effect; a virtual plant names those that it simulates."""
+
+OF_READINGS: Final = ("sensor-drifts", "sensor-offset", "sensor-slips")
+"""Those that `FaultSchedule.told` simulates, for every virtual plant that asks it."""
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from typing import Any, ClassVar, Final
 
 from twinmatch.emulation.arduino import SerialPort
 from twinmatch.emulation.clock import ClockServer
+from twinmatch.emulation.faults import OF_READINGS
 from twinmatch.emulation.plant_time import VirtualPlantTime, VirtualRigError
 
 _NOISE = b"\x00\xff12.3\r\n\xfe"
@@ -123,9 +124,7 @@ class VirtualKit(VirtualPlantTime):
     EACH: ClassVar = (
         "drive-lost",
         "sensor-frozen",
-        "sensor-drifts",
-        "sensor-offset",
-        "sensor-slips",
+        *OF_READINGS,
     )
     """Faults of one heater or sensor; without a number, of heater 1 or of both sensors."""
     KINDS: ClassVar = frozenset(EACH).union(
@@ -146,7 +145,7 @@ class VirtualKit(VirtualPlantTime):
             self._model: Any = tclab.TCLabModel(synced=False)
         self._model.tlast = 0.0
         self._shown = {1: float(self._model.T1), 2: float(self._model.T2)}
-        self.board = KitBoard(self.folder / "ttyACM0", self._reading)
+        self.board = KitBoard(self.folder / "ttyACM0", self.reading)
         self.board_kind = "python"
         self.board_remark = "the firmware's line protocol; the model is tclab's"
         stack.callback(self.board.unplug)
@@ -195,7 +194,8 @@ class VirtualKit(VirtualPlantTime):
         elif kind == "board-hung":
             self.board.hung = on
 
-    def _reading(self, number: int) -> float:
+    def reading(self, number: int) -> float:
+        """What the sensor of this number shows now, °C."""
         if not self.schedule.acts("sensor-frozen", number):
             true = float(self._model.T1 if number == 1 else self._model.T2)
             self._shown[number] = self.schedule.told(

@@ -23,7 +23,6 @@ from typing import ClassVar, Final, TypeVar
 
 from twinmatch.emulation.clock import ClockServer
 from twinmatch.emulation.faults import (
-    KINDS,
     Change,
     ControlServer,
     FaultError,
@@ -103,8 +102,8 @@ class VirtualPlantTime(ABC):
     """Remark on its board."""
     STANDING: ClassVar = 0.01
     """Longest wait for the readers of the clock, wall s; one that speaks ends it."""
-    KINDS: ClassVar = frozenset(KINDS)
-    """Faults of this plant."""
+    KINDS: ClassVar[frozenset[str]]
+    """Faults that this plant simulates; others are refused."""
 
     def __init__(self, settings: RigSettings | None = None) -> None:
         self.settings = settings or RigSettings()
@@ -272,6 +271,11 @@ class VirtualPlantTime(ABC):
             pause = self._REPEAT
         if self.settled(self._clock) and wall_now - self._clock_sent >= pause:
             self._send_clock(wall_now)
+
+    @property
+    def driven(self) -> bool:
+        """Whether a process that commands the plant keeps step with it."""
+        return self._clock.driven
 
     def _send_clock(self, wall_now: float) -> None:
         self._clock.send(self.stamp)

@@ -19,6 +19,7 @@ from twinmatch.dynamics import Parameters, advance, begin, quantities, read
 from twinmatch.emulation.arduino import PinDrive
 from twinmatch.emulation.arduino_virtual import make_board
 from twinmatch.emulation.clock import ClockServer
+from twinmatch.emulation.faults import OF_READINGS
 from twinmatch.emulation.plant_time import VirtualPlantTime
 from twinmatch.emulation.virtual_camera import Serving, VirtualCamera
 from twinmatch.plants import Peltier
@@ -168,6 +169,14 @@ class VirtualRig(VirtualPlantTime):
         TwinmatchError: the board or the camera cannot be created.
     """
 
+    KINDS: ClassVar = frozenset(
+        (
+            *VirtualPlant.FAULTS,
+            *OF_READINGS,
+            *("sensor-frozen", "camera-gone", "garbage-camera"),
+            *("driver-fault", "board-hung", "cable-pulled", "garbage-serial"),
+        )
+    )
     _FEEDBACK_EVERY: Final = 100
     """Interval at which the board's current feedback is updated, ms of plant time."""
 

@@ -196,6 +196,11 @@ class FmuProcess:
         self._ended = weakref.finalize(self, _end, self._process, self._folder, mark)
         self._first = True
 
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
     def ask(
         self,
         header: Mapping[str, Any],

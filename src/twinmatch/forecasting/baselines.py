@@ -42,7 +42,7 @@ _TINY: Final = float(np.finfo(np.float64).tiny)
 
 
 @compiled
-def _simulate(  # noqa: PLR0917
+def simulate_arx(  # noqa: PLR0917
     coefficients: FloatArray,
     level: FloatArray,
     past: FloatArray,
@@ -122,7 +122,7 @@ class ArxForecast(NamedTuple):
         disturbances = np.zeros((len(ahead), 0)) if rows is None else np.array(rows)
         if not self.coefficients.size:
             return np.repeat(self.standing[:, None], len(ahead), axis=1)
-        means: FloatArray = _simulate(
+        means: FloatArray = simulate_arx(
             self.coefficients,
             self.level,
             self.past,

@@ -82,7 +82,8 @@ class Competition:
         ]
         self._usual = rows_of(self._model)
         self._suspected = False
-        self._rehearsals = [Rehearsal(self.second, output.noise) for output in outputs]
+        self.rehearsals = [Rehearsal(self.second, output.noise) for output in outputs]
+        """Of each sensor that is right: how far off it is when it is read through."""
         self.through: dict[int, ReadThrough] = {}
         """Estimates of the outputs whose sensors lie, by their places."""
         self.expect_back([])
@@ -98,7 +99,7 @@ class Competition:
         self.count = 0
         """Samples since the last gap."""
         self.healthy.restart()
-        for sensor, rehearsal in zip(self.sensors, self._rehearsals, strict=True):
+        for sensor, rehearsal in zip(self.sensors, self.rehearsals, strict=True):
             sensor.restart()
             rehearsal.drop()
         self._clear()
@@ -258,7 +259,7 @@ class Competition:
 
     def _rehearse(self, reading: Reading, variance: FloatArray) -> None:
         """Read through each sensor that is right, to know what such an estimate is worth."""
-        for output, rehearsal in enumerate(self._rehearsals):
+        for output, rehearsal in enumerate(self.rehearsals):
             if (
                 rehearsal.on is None
                 and self.known >= _FOLLOWING.rehearsed
@@ -272,7 +273,7 @@ class Competition:
     def _without(self, output: int, since: int) -> ReadThrough:
         """An estimate of an output that ascribes nothing to its sensor, by a filter from before `since`."""
         healthy = self.healthy
-        band = self._rehearsals[output].band
+        band = self.rehearsals[output].band
         return ReadThrough(
             self._model,
             healthy.without(output, since),
@@ -329,7 +330,7 @@ class Competition:
         missed = self.healthy.missed(
             self.count - 1 - sensor.repeats, output, value, sensor.variance
         )
-        return missed or self._rehearsals[output].missed(sensor.repeats, value)
+        return missed or self.rehearsals[output].missed(sensor.repeats, value)
 
     def read_through(self, output: int, since: int) -> None:
         """Estimate an output without its sensor from now on.
@@ -338,12 +339,12 @@ class Competition:
         rehearsed before that is continued, if there is one.
         """
         if output not in self.through:
-            estimator = self._rehearsals[output].on
+            estimator = self.rehearsals[output].on
             if estimator is None or estimator.samples <= self.count - since:
                 estimator = self._without(output, since)
             estimator.rehearsed = estimator.samples
             self.through[output] = estimator
-            for rehearsal in self._rehearsals:  # those of the others take its readings
+            for rehearsal in self.rehearsals:  # those of the others take its readings
                 rehearsal.drop()
 
     def may_accuse(self, suspect: Suspect) -> bool:
@@ -412,7 +413,7 @@ class Competition:
             sensor.jump = Jump(0, 0.0)
         self._clear()
         self.healthy.forget_newest()
-        for rehearsal in self._rehearsals:
+        for rehearsal in self.rehearsals:
             rehearsal.drop()
 
     def adopt(self, suspect: Suspect) -> None:
@@ -438,7 +439,7 @@ class Competition:
             )
         self._clear()
         self.healthy.forget_newest()
-        for output, rehearsal in enumerate(self._rehearsals):
+        for output, rehearsal in enumerate(self.rehearsals):
             if suspect.cause != (Fault.SENSOR_DRIFT, output):
                 # its rehearsal does not use that sensor
                 rehearsal.drop()

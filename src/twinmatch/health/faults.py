@@ -68,7 +68,8 @@ class FaultTraits:
     suspect: str = ""
     """What may have changed, on a plant with several signals; `{name}` is the signal's or the parameter's."""
     sentence: str = ""
-    """What has changed there and where to look; `{size}` is by how much."""
+    """What has changed and where to look, as a hypothesis says that explains the readings; `{size}` is by how
+    much. Empty for a kind that only a trace shows."""
     role: str = ""
     """Role of the parameter that it changes."""
     slow: bool = False
@@ -86,21 +87,21 @@ TRAITS: Final[Mapping[Fault, FaultTraits]] = {
         Subject.DRIVE,
         cause="its drive",
         suspect="the drive {name}",
-        sentence="{name} has no effect: look at it, its wires and its supply",
+        sentence="{name} has no effect: look at {name}, its wires and its supply",
         blinds=True,
     ),
     Fault.DRIVE_WEAK: FaultTraits(
         Subject.DRIVE,
         cause="its drive",
         suspect="the drive {name}",
-        sentence="{name} has {size} of its effect: look at it, its wires and its supply",
+        sentence="{name} has {size} of its effect: look at {name}, its wires and its supply",
         another_plant=True,
     ),
     Fault.SENSOR_FROZEN: FaultTraits(
         Subject.OUTPUT,
         cause="the reading",
         suspect="a frozen {name}",
-        sentence="{name} repeats one reading, and should have moved: look at its sensor",
+        sentence="{name} repeats one reading, and should have moved: look at {sensor}",
         blinds=True,
     ),
     Fault.SENSOR_LATE: FaultTraits(Subject.OUTPUT, cause="the reading", blinds=True),
@@ -108,14 +109,14 @@ TRAITS: Final[Mapping[Fault, FaultTraits]] = {
         Subject.OUTPUT,
         cause="the reading",
         suspect="an impossible {name}",
-        sentence="{name} is read as what it cannot be: look at its sensor",
+        sentence="{name} is read as what it cannot be: look at {sensor}",
         blinds=True,
     ),
     Fault.SENSOR_DRIFT: FaultTraits(
         Subject.OUTPUT,
         cause="the reading",
         suspect="the reading of {name}",
-        sentence="the readings of {name} are off by about {size}: compare with another instrument",
+        sentence="the readings of {name} are off by about {size}: look at {sensor}, and compare with another",
         slow=True,
     ),
     Fault.LOSSES_CHANGED: FaultTraits(
@@ -131,7 +132,7 @@ TRAITS: Final[Mapping[Fault, FaultTraits]] = {
         Subject.PARAMETER,
         cause="the room",
         suspect="{name}",
-        sentence="{name} has changed by {size}: look at {surroundings}",
+        sentence="the {name} has changed by {size}: look at {surroundings}",
         role="room",
         slow=True,
         another_plant=True,
@@ -251,16 +252,16 @@ class EstimatedReading:
 _SUDDEN: Final = frozenset(
     fault for fault, traits in TRAITS.items() if not traits.slow and not traits.unnamed
 )
-_NAMED: Final = frozenset(
+_NAMED_SLOW: Final = frozenset(
     fault for fault, traits in TRAITS.items() if traits.slow and not traits.unnamed
 )
 PRECEDENCE: Final = {
     Fault.DISTURBANCE: _SUDDEN | SLOW,
-    Fault.DRIFT: _SUDDEN | _NAMED | {Fault.DISTURBANCE},
+    Fault.DRIFT: _SUDDEN | _NAMED_SLOW | {Fault.DISTURBANCE},
     Fault.DRIVE_WEAK: frozenset(
         {Fault.DRIVE_LOST, Fault.SENSOR_FROZEN, Fault.SENSOR_IMPLAUSIBLE}
     ),
-    **{fault: _SUDDEN | (_NAMED - {fault}) for fault in _NAMED},
+    **{fault: _SUDDEN | (_NAMED_SLOW - {fault}) for fault in _NAMED_SLOW},
 }
 """For each fault, the graver ones that replace it while it is on."""
 
@@ -274,8 +275,8 @@ class Evidence(NamedTuple):
     first: int
     """Sample at which the trace begins."""
     reason: str
-    slow: bool = False
-    """Whether it was found by tracking the plant (`SlowChanges`)."""
+    tracked: bool = False
+    """Whether it was found by tracking the plant over minutes (`SlowChanges`), and not by a trace."""
 
 
 def signed(value: float) -> str:

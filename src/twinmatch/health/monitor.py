@@ -470,7 +470,7 @@ class Monitor:
             and evidence.fault is _REFUSED
             and self._before is not None
         )
-        if evidence is not None and not evidence.slow and not is_replaced:
+        if evidence is not None and not evidence.tracked and not is_replaced:
             self._quiet = self._proofs = 0
         else:
             self._quiet += 1
@@ -500,7 +500,11 @@ class Monitor:
         ended = [a.last for a in self._alarms if a.last is not None and a.alters]
         if self._open:
             on = self._alarms[-1].fault
-            if evidence.slow and evidence.fault is on and self._slow.reported is None:
+            if (
+                evidence.tracked
+                and evidence.fault is on
+                and self._slow.reported is None
+            ):
                 # the drive's effect has reported it already
                 self._slow.mark_reported(index)
                 self._slow_alarm = self._slow_alarm or on is Fault.DRIFT
@@ -540,7 +544,7 @@ class Monitor:
     def _begun(self, index: int, evidence: Evidence) -> None:
         """Have every part know of an alarm that has begun."""
         self._open = True
-        self._slow_alarm = evidence.slow
+        self._slow_alarm = evidence.tracked
         self._balance.forget_newest()
         self._slow.propose(None)
         if evidence.fault is Fault.DISTURBANCE and not self._acts_within_sample:
@@ -549,7 +553,7 @@ class Monitor:
             self._effect.accuse()
         if self._blind:
             self._slow.restart()
-        elif evidence.slow:
+        elif evidence.tracked:
             self._slow.mark_reported(index)
 
     def _recovered(self) -> bool:

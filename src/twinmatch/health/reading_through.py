@@ -136,7 +136,10 @@ class Rehearsal:
         self._usual = (_BANDS.strays * noise) ** 2
         self._strays = _AGES[-2] * second
         self._ends = np.round(_AGES * second).astype(np.int64)
-        self._sums, self._count = np.zeros((2, _AGES.size))
+        self.sums = np.zeros(_AGES.size)
+        """By age, the mean squared errors of the rehearsals that count, added up, in squares of the unit."""
+        self.counts = np.zeros(_AGES.size)
+        """By age, the number of these rehearsals."""
         self._early = True
         """Whether all of them began before the plant was known well."""
         self.drop()
@@ -165,14 +168,14 @@ class Rehearsal:
                 return  # it may be frozen, and this is what shows it
             # the sensor was right: so far off are estimates
             if self._early and not self._began_early:
-                self._sums[:] = 0.0
-                self._count[:] = 0.0
+                self.sums[:] = 0.0
+                self.counts[:] = 0.0
                 self._early = False
             has_samples = self._samples > 0.0
-            self._sums[has_samples] += (
+            self.sums[has_samples] += (
                 self._squares[has_samples] / self._samples[has_samples]
             )
-            self._count += has_samples
+            self.counts += has_samples
             self.drop()
         elif reading.seen[output]:
             self._squares[age] += max(
@@ -192,9 +195,9 @@ class Rehearsal:
         errors within a rehearsal are nearly one. The member's own variance, and the usual error, count as
         some rehearsals."""
         upto = min(int(np.searchsorted(self._ends, age)), _AGES.size - 1)
-        number = _BANDS.prior + self._count[upto]
+        number = _BANDS.prior + self.counts[upto]
         usual = max(variance, self._usual * min(age / self._strays, 1.0))
-        squares = max(variance, (_BANDS.prior * usual + self._sums[upto]) / number)
+        squares = max(variance, (_BANDS.prior * usual + self.sums[upto]) / number)
         wider = (
             1.0
             + (_Z**2 + 1.0) / (4.0 * number)

@@ -82,7 +82,8 @@ class LearnedSensor:
         self.step = 0.1 * noise
         """Value of its last digit."""
         self._roughness = Roughness(noise)
-        self._run_lengths = RunLengths()
+        self.run_lengths = RunLengths()
+        """How long its readings usually stand."""
         self._walk = 2.0 * noise  # how far readings usually move in a sample
         self._smallest = math.inf  # movement so far
         self._moves = 0  # movements so far
@@ -147,13 +148,13 @@ class LearnedSensor:
     def learn(self, value: float, counts: bool, gained: float) -> None:
         """Learn of this reading, whose log-probability was `gained`."""
         if self.repeated:
-            usually = self._run_lengths.continues(self.repeats)
+            usually = self.run_lengths.continues(self.repeats)
             healthy = max(gained, math.log(usually)) if usually > 0.0 else gained
             self.repeats = self.repeats + 1
             self.frozen = self.frozen + _STANDS - healthy
         elif counts:
             if not self.is_accused and not math.isnan(self._before):
-                self._run_lengths.take(self.repeats)
+                self.run_lengths.take(self.repeats)
             self.is_accused = False
             self.repeats = 0
             self.frozen = 0.0

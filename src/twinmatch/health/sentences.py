@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -20,8 +21,9 @@ if TYPE_CHECKING:  # a plant with one loop needs nothing of their arithmetic
 class FaultSentences:
     """Names what faults concern, and describes the evidence for them.
 
-    On a plant with one loop the evidence is a trace, and each kind of trace has a method. With several loops
-    it is a hypothesis that explains the readings better than its rivals: `called` and `said`.
+    The evidence is a trace, and each kind of trace has a method; or it is a hypothesis that explains the
+    readings better than its rivals, and `changed` and `said` fill in the sentence of its row in `TRAITS`: on
+    a plant with one loop, and on one with several.
     """
 
     def __init__(self, model: Model, period: float) -> None:
@@ -167,6 +169,42 @@ class FaultSentences:
             f"compare them with another {self._other}"
         )
 
+    def changed(
+        self, fault: Fault, parameter: Parameter | None, shift: float, share: float
+    ) -> str:
+        """What has changed on a plant with one loop, by how much, and where to look.
+
+        `shift` is that of the reading, or of the `parameter` that has changed; `share` is what is left of the
+        drive's effect.
+        """
+        name = self.output
+        unit = self._plant.output.unit
+        if TRAITS[fault].subject is Subject.DRIVE:
+            name = "the drive"
+        elif parameter is not None:
+            name = parameter.text or parameter.name
+            unit = parameter.unit
+        _, size = _size(fault, shift, share, unit)
+        return self._filled(fault, name, size, sensor=self.sensor)
+
+    def _filled(
+        self,
+        fault: Fault,
+        name: str,
+        size: str,
+        *,
+        sensor: str = "",
+        rivals: Sequence[str] = (),
+    ) -> str:
+        """The sentence of a fault's row in `TRAITS`."""
+        return TRAITS[fault].sentence.format(
+            name=name,
+            size=size,
+            sensor=sensor,
+            surroundings=self.surroundings,
+            rivals=" or ".join(rivals),
+        )
+
     def passed(self, moved: float, lasted: float) -> str:
         """What has moved the output for a while."""
         return (
@@ -196,18 +234,7 @@ class FaultSentences:
         """Name of the signal, size of the change, and a sentence; `share` is what is left of a drive's
         effect."""
         name, declared = self._concerned(best.cause)
-        size = math.nan
-        text = ""
-        unit = declared.unit
-        if fault is Fault.LOSSES_CHANGED:
-            size = math.exp(best.shift)
-            text = f"{size:.2g} times"
-        elif fault in {Fault.DRIVE_LOST, Fault.DRIVE_WEAK}:
-            size = share
-            text = f"{share:.0%}"
-        elif fault in {Fault.SENSOR_DRIFT, Fault.ROOM_CHANGED}:
-            size = best.shift
-            text = f"{signed(best.shift)} {unit}".rstrip()
+        size, text = _size(fault, best.shift, share, declared.unit)
         if best.cause[1] == EVERY:
             left = (
                 "no effect" if fault is Fault.DRIVE_LOST else f"{text} of their effect"
@@ -217,17 +244,29 @@ class FaultSentences:
                 size,
                 f"{self._all_drives} have {left}: look at what they share, such as their supply",
             )
-        around = self._model.plant.surroundings
         if fault is Fault.DRIFT and len(rivals) == 1:
             return (
                 name,
                 size,
-                f"the plant behaves as if {rivals[0]} had begun: look at {around}",
+                f"the plant behaves as if {rivals[0]} had begun: look at {self.surroundings}",
             )
-        reason = TRAITS[fault].sentence.format(
-            name=declared.text or name,
-            size=text,
-            surroundings=around,
-            rivals=" or ".join(rivals),
-        )
+        called = declared.text or name
+        sensor = f"the {declared.sensor}" if isinstance(declared, Output) else ""
+        reason = self._filled(fault, called, text, sensor=sensor, rivals=rivals)
         return name, size, reason
+
+
+def _size(fault: Fault, shift: float, share: float, unit: str) -> tuple[float, str]:
+    """How large a change is, as a number and in words; NaN where a fault has no size.
+
+    `shift` is that of a reading or a parameter, in its `unit`; of losses it is the logarithm of their factor.
+    `share` is what is left of a drive's effect.
+    """
+    if fault is Fault.LOSSES_CHANGED:
+        factor = math.exp(shift)
+        return factor, f"{factor:.2g} times"
+    if fault in {Fault.DRIVE_LOST, Fault.DRIVE_WEAK}:
+        return share, f"{share:.0%}"
+    if fault in {Fault.SENSOR_DRIFT, Fault.ROOM_CHANGED}:
+        return shift, f"{signed(shift)} {unit}".rstrip()
+    return math.nan, ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -12,16 +11,11 @@ import numpy as np
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.tracker import Belief
 from twinmatch.health.changes import ChangeDetector, DetectedChange, Hypothesis
-from twinmatch.health.faults import TRAITS, Evidence, Fault, signed
+from twinmatch.health.faults import TRAITS, Evidence, Fault
 from twinmatch.health.sentences import FaultSentences
 from twinmatch.health.settings import HealthSettings
 from twinmatch.health.trial import TwinOnTrial
 from twinmatch.signals import Sample
-
-_NAMED: Final = frozenset(
-    f for f, traits in TRAITS.items() if not traits.unnamed and not traits.blinds
-)
-"""Slow changes that name a cause."""
 
 
 @dataclass(frozen=True)
@@ -223,7 +217,9 @@ class SlowChanges:
             self._shift = _Shift(
                 change.shift, index, change.before, named=True, open=False
             )
-        if self.evidence.fault in _NAMED:  # what has no name is an error of the twin
+        traits = TRAITS[self.evidence.fault]
+        if not traits.unnamed and not traits.blinds:
+            # what has no name is an error of the twin
             self._detector.track_record.forget_newest()
         if (
             self.evidence.fault is not Fault.DRIFT
@@ -477,24 +473,18 @@ class SlowChanges:
         named = self._has_name(change)
         if named and h.fault is Fault.DRIVE_LOST:
             return Evidence(
-                Fault.DRIVE_LOST, enough, change.first, self._describe(change)
+                Fault.DRIVE_LOST, enough, change.first, self._sentence(change)
             )
         if named and h.fault is Fault.DISTURBANCE:
             has_passed = self._surely_passed(change) and enough
             reason = self._sentences.passed(*self._passage() or (0.0, 0.0))
             return Evidence(
-                Fault.DISTURBANCE, has_passed, change.first, reason, slow=True
+                Fault.DISTURBANCE, has_passed, change.first, reason, tracked=True
             )
         if named:
-            sentences = self._sentences
-            places = {
-                Fault.DRIVE_WEAK: "drive, wires and supply",
-                Fault.SENSOR_DRIFT: sentences.sensor,
-            }
-            reason = f"{self._describe(change)}: look at {places.get(h.fault, sentences.surroundings)}"
-            return Evidence(
-                h.fault, enough and material, change.first, reason, slow=True
-            )
+            sure = enough and material
+            reason = self._sentence(change)
+            return Evidence(h.fault, sure, change.first, reason, tracked=True)
         if enough and self._unnamed_since is None:
             self._unnamed_since = index
         waited = self._unnamed_since is not None and (
@@ -502,7 +492,7 @@ class SlowChanges:
         )
         sure = enough and material and waited and change.gain >= self._enough_unnamed
         return Evidence(
-            Fault.DRIFT, sure, change.first, self._ambiguous(change), slow=True
+            Fault.DRIFT, sure, change.first, self._ambiguous(change), tracked=True
         )
 
     def _is_evident(self, change: DetectedChange) -> bool:
@@ -549,26 +539,9 @@ class SlowChanges:
             f"which these readings cannot distinguish: look at {self._sentences.surroundings}"
         )
 
-    def _describe(self, change: DetectedChange) -> str:
-        """Say what has changed, and by how much."""
+    def _sentence(self, change: DetectedChange) -> str:
+        """What has changed, by how much, and where to look."""
         h = change.hypothesis
-        output = self._sentences.output
-        unit = self._sentences.unit
-        if h.fault is Fault.DRIVE_LOST:
-            return (
-                f"the drive has no effect on {output}: look at drive, wires and supply"
-            )
-        if h.fault is Fault.DRIVE_WEAK:
-            return f"the drive has {1.0 + change.value:.0%} of its expected effect on {output}"
-        if h.fault is Fault.SENSOR_DRIFT:
-            return (
-                f"the readings of {output} have shifted by {signed(change.shift)}{unit}"
-            )
-        declared = self._settings.followed.model.declared[h.parameter]
-        if h.fault is Fault.LOSSES_CHANGED:
-            factor = math.exp(change.shift)
-            return f"the losses are {factor:.2g} times those before ({declared.text})"
-        of_parameter = f" {declared.unit}".rstrip()
-        return (
-            f"the {declared.text} has changed by {signed(change.shift)}{of_parameter}"
-        )
+        parameter = self._settings.followed.model.declared.get(h.parameter)
+        share = 1.0 + change.value
+        return self._sentences.changed(h.fault, parameter, change.shift, share)

@@ -132,6 +132,11 @@ class ForkServer:
         self._asking = threading.Lock()
         self._socket, self._process = begun_server()
 
+    @property
+    def pid(self) -> int:
+        """Number of its process."""
+        return self._process.pid
+
     def start(
         self,
         *words: str,

@@ -34,7 +34,7 @@ from twinmatch.showing.lines import Lines
 from twinmatch.showing.page.health import MAX_NODES, kind_of
 from twinmatch.showing.terminal import Screen, view_on
 from twinmatch.signals import Sample
-from twinmatch.twin import Settling, TwinSettings
+from twinmatch.twin import Door, TwinSettings
 from twinmatch_msgs.msg import LoopSample
 
 EXIT_LOST = 3
@@ -56,7 +56,7 @@ class Live:
 
     plan: LivePlan
     console: Console = field(default_factory=lambda: Console(soft_wrap=True))
-    settling: Settling = field(default_factory=lambda: Settling(TwinSettings()))
+    door: Door = field(default_factory=lambda: Door(TwinSettings()))
     """Settles the samples; before the first one it is replaced by one with the settings of the twin."""
     results: RunResults = field(default_factory=RunResults)
     received: int = 0
@@ -71,23 +71,23 @@ class Live:
     def take_verdict(self, verdict: Verdict) -> None:
         """Count a verdict, and settle by it."""
         self.results.take_verdict(verdict)
-        self.settling.learn(verdict)
+        self.door.learn(verdict)
 
     def take_sample(self, sample: Sample) -> None:
         """Put a sample on the spool; an index at or before the newest one starts a new spool."""
         if self.newest is not None and not sample.continues(self.newest):
             self.results.restart_samples()
             self.received = 0
-            self.settling.forget()
+            self.door.forget()
         self.received += 1
         self.newest = sample
-        self.settling.push(sample)
-        self.settle(lambda _: self.settling.waiting > self.MAX_WAITING)
+        self.door.push(sample)
+        self.settle(lambda _: self.door.waiting > self.MAX_WAITING)
 
     def settle(self, judged: Callable[[int], bool]) -> None:
         """Put samples on the spool as the discriminator settled them: once it has `judged` all before them,
         as long as its verdicts may still decide how to."""
-        self.results.take_settled(self.settling.settled(judged))
+        self.results.take_settled(self.door.settled(judged))
 
 
 def run_live(live: Live) -> int:
@@ -111,7 +111,7 @@ def _run_live(live: Live) -> int:
             f"{live.plan.twin_config or 'the twin'} is for plant {settings.plant.name}, "
             f"but this run is of plant {live.plan.plant}; give another --twin-config"
         )
-    live.settling = Settling(settings)
+    live.door = Door(settings)
     view = view_on(live.console, "live", settings.period)
     with lease(PATIENCE if live.plan.in_step else None):
         code = _LiveRun(live, view).run()
@@ -208,7 +208,7 @@ class _LiveRun(Supervised):
 
     def __init__(self, live: Live, view: Screen | Lines) -> None:
         super().__init__(view)
-        self._live = live
+        self.live = live
         self._plan = live.plan
         self._errors = Errors(view.say)
         self._addresses: dict[str, str] = {}
@@ -222,7 +222,7 @@ class _LiveRun(Supervised):
         """Start everything; the rig last, after all subscribers."""
         plan = self._plan
         node.create_subscription(
-            LoopSample, "plant/sample", self._live.take_sample, EVERYTHING
+            LoopSample, "plant/sample", self.live.take_sample, EVERYTHING
         )
         if plan.virtual is not None:
             self.view.say("starting the virtual rig")
@@ -244,7 +244,7 @@ class _LiveRun(Supervised):
 
     def check(self, node: Watch) -> int | None:  # noqa: ARG002
         """Restart processes that may be restarted; over once one is lost, or all samples are judged."""
-        live = self._live
+        live = self.live
         live.settle(
             lambda sample: self.settled.complete(sample, live.results.tally.verdicts)
         )
@@ -268,7 +268,7 @@ class _LiveRun(Supervised):
 
     def take_verdict(self, verdict: Verdict) -> None:
         """Count and show it."""
-        self._live.take_verdict(verdict)
+        self.live.take_verdict(verdict)
         self.view.take_verdict(verdict)
 
     def take_health(self, message: DiagnosticArray) -> None:
@@ -348,7 +348,7 @@ class _LiveRun(Supervised):
             # no other process can have a law put on trial
             self.processes.environment[SECRET] = self._secret
         if name == "recorder":
-            self._live.sessions.append(self._next_session())
+            self.live.sessions.append(self._next_session())
         program = plan.wiring.program if name == plan.driver else name
         self.processes.start_module(
             name, "twinmatch.nodes", program, *self._arguments(name)
@@ -361,9 +361,9 @@ class _LiveRun(Supervised):
         if name == "twin":
             return plan.twin_arguments()
         if name == "recorder":
-            first, *later_sessions = self._live.sessions
+            first, *later_sessions = self.live.sessions
             return plan.recorder_arguments(
-                self._live.sessions[-1], first.name if later_sessions else ""
+                self.live.sessions[-1], first.name if later_sessions else ""
             )
         readers = (
             READERS
@@ -374,5 +374,5 @@ class _LiveRun(Supervised):
 
     def _next_session(self) -> Path:
         first = self._plan.session or Path("session")
-        number = len(self._live.sessions)
+        number = len(self.live.sessions)
         return first if number == 0 else first.with_name(f"{first.name}_{number + 1}")

@@ -100,13 +100,15 @@ class KitLink:
         """Called while an answer of a virtual kit in step is awaited, to let a moment of plant time pass."""
         self._wanted = port
         self._deadline = deadline
-        self._process: subprocess.Popen[bytes] | None = None
+        self.keeper: subprocess.Popen[bytes] | None = None
+        """The process that holds the port, and switches the heaters off once this one is silent or gone; None
+        while it is not open."""
         self._heard = b""
 
     @property
     def is_open(self) -> bool:
         """Whether there is a process that holds the port."""
-        return self._process is not None
+        return self.keeper is not None
 
     def open(self) -> None:
         """Start the process; both heaters are then off.
@@ -125,7 +127,7 @@ class KitLink:
         if self.plant_time is not None:
             words.append(f"{self._DEADLINE_IN_STEP}")
         # In its own session: Ctrl-C reaches only the commanding process, which then ends this one.
-        self._process = subprocess.Popen(
+        self.keeper = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
         )
         self._heard = b""
@@ -161,8 +163,8 @@ class KitLink:
 
     def close(self) -> None:
         """Let the process switch the heaters off and end; returns when it has ended."""
-        process = self._process
-        self._process = None
+        process = self.keeper
+        self.keeper = None
         if process is None:
             return
         assert process.stdin is not None and process.stdout is not None  # noqa: PT018, S101
@@ -176,10 +178,10 @@ class KitLink:
         process.stdout.close()
 
     def _ask(self, line: str) -> tuple[str, str]:
-        if self._process is None or self._process.stdin is None:
+        if self.keeper is None or self.keeper.stdin is None:
             raise KitError("kit: the link is closed")
         try:
-            os.write(self._process.stdin.fileno(), f"{line}\n".encode())
+            os.write(self.keeper.stdin.fileno(), f"{line}\n".encode())
         except OSError as error:
             raise KitError(
                 f"kit: the process that holds its port is gone ({error.strerror})"
@@ -189,8 +191,8 @@ class KitLink:
         )
 
     def _answer(self, patience: float) -> tuple[str, str]:
-        assert self._process is not None and self._process.stdout is not None  # noqa: PT018, S101
-        pipe = self._process.stdout.fileno()
+        assert self.keeper is not None and self.keeper.stdout is not None  # noqa: PT018, S101
+        pipe = self.keeper.stdout.fileno()
         deadline = time.monotonic() + patience
         while b"\n" not in self._heard:
             seconds_left = deadline - time.monotonic()

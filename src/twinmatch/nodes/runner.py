@@ -138,6 +138,11 @@ class Nodes:
         """Time that `close` may take besides `TEARDOWN`, s."""
         return max((node.CLOSING for node in self._nodes), default=0)
 
+    @property
+    def has_executor(self) -> bool:
+        """Whether callbacks may still be run."""
+        return self._executor is not None
+
     def start(
         self, kinds: Sequence[type[TwinmatchNode]], arguments: Sequence[str]
     ) -> None:
@@ -212,7 +217,7 @@ class Nodes:
         return end_in_order(*steps, *(node.close for node in self._nodes))
 
     def _stop_executor(self) -> None:
-        if self._executor is not None:
+        if self.has_executor:
             for node in self._nodes:
                 self._executor.remove_node(node)
             self._executor.shutdown(timeout_sec=1.0)

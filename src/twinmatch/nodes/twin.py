@@ -40,7 +40,7 @@ class TwinSimulatorNode(SampleNode):
             self.settings.period,
             scale=self.settings.forecasts.scale,
         )
-        self._door = Door.of(self.settings)
+        self._door = Door(self.settings)
         self._leader = ""
         self._states_made = 0
         self._published_before = 0  # states published before this node started
@@ -73,7 +73,8 @@ class TwinSimulatorNode(SampleNode):
 
     def _mirror_sample(self, sample: Sample) -> None:
         """Publish the state of the twins at a sample; those lost before it have stand-ins."""
-        *stand_ins, settled = self._door.take(sample)
+        self._door.push(sample)
+        *stand_ins, settled = self._door.settled()
         for stand_in in stand_ins:
             self._mirror.push(stand_in)
         state = self._mirror.push(settled)

@@ -17,7 +17,7 @@ from twinmatch.comparing import (
     number_list,
     statements_of,
 )
-from twinmatch.dynamics import Law, Parameters
+from twinmatch.dynamics import Law, Parameters, Plant
 from twinmatch.signals import Window
 from twinmatch.twin import Fits, window_fits
 from twinmatch.twin.trust import merged
@@ -89,11 +89,21 @@ class TrustRange(NamedTuple):
         )
 
 
-def trust_range(
-    ranges: Sequence[tuple[float, float]], unit: str, decimals: int
+def held_levels(
+    plant: type[Plant], ranges: Sequence[tuple[float, float]]
 ) -> TrustRange | None:
-    """Where forecasts have held, one decimal place coarser than the output's; None if nowhere."""
-    return TrustRange(tuple(ranges), unit, max(0, decimals - 1)) if ranges else None
+    """Where forecasts have held, one decimal place coarser than the output's; None if nowhere.
+
+    Verdicts record one range of levels. Of several outputs it is that of the first, which is named with the
+    unit.
+    """
+    if not ranges:
+        return None
+    first, *further_outputs = plant.outputs.values()
+    of_first = f" of {first.text or first.name}" if further_outputs else ""
+    return TrustRange(
+        tuple(ranges), f"{first.unit}{of_first}", max(0, first.decimals - 1)
+    )
 
 
 class LevelStretch(NamedTuple):
@@ -289,7 +299,7 @@ def conclude(
         matches=dict(tally.matches),
         notes=tuple(remarks),
         order=nominal.chosen_order if nominal else None,
-        range=_range(shown.parameters, tally.held) if shown else None,
+        range=held_levels(shown.parameters.model.plant, tally.held) if shown else None,
         leader=last.leader if last else None,
         leader_confidence=last.leader_confidence if last else math.nan,
         refusal=tally.refusal,
@@ -298,14 +308,3 @@ def conclude(
         period=period,
         fits=fits,
     )
-
-
-def _range(
-    parameters: Parameters, ranges: Sequence[tuple[float, float]]
-) -> TrustRange | None:
-    """Where forecasts have held; of several outputs the levels of the first."""
-    first, *further_outputs = parameters.model.plant.outputs.values()
-    unit = (
-        f"{first.unit} of {first.text or first.name}" if further_outputs else first.unit
-    )
-    return trust_range(ranges, unit, first.decimals)

@@ -46,7 +46,7 @@ _WRITTEN: Final[dict[str, str]] = {}
 
 def installed_names() -> tuple[str, ...]:
     """Names of the plants that installed packages declare."""
-    return tuple(_declared())
+    return tuple(declared_plants())
 
 
 def installed_plant(name: str) -> type[Plant] | None:
@@ -55,7 +55,7 @@ def installed_plant(name: str) -> type[Plant] | None:
     Raises:
         PlantError: the declared object is not a plant, or cannot be imported.
     """
-    point = _declared().get(name)
+    point = declared_plants().get(name)
     if point is None:
         return None
     package = point.dist.name if point.dist is not None else point.module
@@ -77,7 +77,8 @@ def installed_plant(name: str) -> type[Plant] | None:
 
 
 @lru_cache(maxsize=1)
-def _declared() -> dict[str, EntryPoint]:
+def declared_plants() -> dict[str, EntryPoint]:
+    """The plants that installed packages declare, by name; looked up once in a process."""
     return {point.name: point for point in entry_points(group=GROUP)}
 
 

@@ -89,7 +89,7 @@ class Recording(SessionWriter):
             SessionError: the folder exists or cannot be created.
         """
         self.limits = limits or RecordingLimits()
-        self._free = free or _free
+        self._free = free or free_bytes
         self._require_space(folder, "not started")
         super().__init__(folder, ros_distro=ros_distro)
 
@@ -131,7 +131,7 @@ class Recording(SessionWriter):
             )
 
 
-def _free(path: Path) -> int:
+def free_bytes(path: Path) -> int:
     """Free bytes on the disk of a path, which need not exist yet."""
     place = path.absolute()
     while not place.exists():
@@ -416,7 +416,7 @@ def _rebuild(folder: Path, broken: Path, files: list[Path], repair: Repair) -> R
     readable = [file for file in files if file.stat().st_size]
     with _scratch(folder) as scratch:
         copy = scratch / folder.name
-        _rewrite(copy, readable, repair, distro_of(folder))
+        rewrite(copy, readable, repair, distro_of(folder))
         _compare(copy, readable)
         _move(copy, folder, broken)
     if not _damages(repair.faults):
@@ -434,7 +434,8 @@ def _damages(faults: Sequence[str]) -> list[str]:
     return damages
 
 
-def _rewrite(copy: Path, files: list[Path], repair: Repair, ros_distro: str) -> None:
+def rewrite(copy: Path, files: list[Path], repair: Repair, ros_distro: str) -> None:
+    """Write all that can be read of a session's files into a folder, with a record of what was damaged."""
     damages = _damages(repair.faults)
     with SessionWriter(copy, ros_distro=ros_distro) as writer:
         if damages:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import IO, TYPE_CHECKING, Final
 
 from twinmatch.comparing import TrustLevel, Verdict, plant_fault
@@ -23,10 +23,9 @@ STYLES: Final = {
 }
 """rich style of each level."""
 
-_WIDTHS: Final = (6, 8, 7, 5, 5, 7, 9, 6, 6, 8, 0)
-"""Widths of the columns of `row` without its reason, so that a line with the longest name of two parts has
-120 characters."""
 _INDENT = 8
+_BELOW: Final = "why"
+"""The column that stands below the others."""
 
 
 def line_text(verdict: Verdict, period: float = 1.0) -> str:
@@ -34,7 +33,8 @@ def line_text(verdict: Verdict, period: float = 1.0) -> str:
 
     `period` is the sample time, s. Gains are in characters, misses in half widths of the leader's bands.
     """
-    *cells, why = row(verdict, period).values()
+    cells = row(verdict, period)
+    why = cells.pop(_BELOW)
     fault = plant_fault(verdict)
     evidence = why if fault is None else fault._replace(reason=why).with_reason
     reason = " ".join(evidence.split())
@@ -43,18 +43,18 @@ def line_text(verdict: Verdict, period: float = 1.0) -> str:
 
 def header_text() -> str:
     """The column names, with their units where there is room."""
-    names = zip(COLUMNS, _WIDTHS, strict=False)
-    return _columns(
-        [
-            name if len(name) <= width else name.partition(" / ")[0]
-            for name, width in names
-        ]
-    )
+    headings = {}
+    for name, column in COLUMNS.items():
+        if name != _BELOW:
+            has_room = len(name) <= column.width
+            headings[name] = name if has_room else name.partition(" / ")[0]
+    return _columns(headings)
 
 
-def _columns(cells: Sequence[str]) -> str:
+def _columns(cells: Mapping[str, str]) -> str:
+    """Cells, by the headings of their columns, side by side."""
     return "  ".join(
-        f"{one_line(cell):<{width}}" for cell, width in zip(cells, _WIDTHS, strict=True)
+        f"{one_line(cell):<{COLUMNS[name].width}}" for name, cell in cells.items()
     )
 
 

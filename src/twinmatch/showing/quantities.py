@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Final, NamedTuple
 
-from twinmatch.dynamics import Parameter, Plant, State, channels
-from twinmatch.signals import KELVIN, OperatingPoint, point_values
+from twinmatch.dynamics import Drive, Output, Parameter, Plant, State
+from twinmatch.signals import KELVIN, OperatingPoint, one_of_each, point_values
 
 _TAKE_PREFIXES: Final = frozenset(
     {"V", "A", "W", "J", "N", "Ω", "m", "s", "F", "H", "Pa", "Hz", "rad"}
@@ -163,31 +163,53 @@ class ShownSignal(NamedTuple):
 
 
 class ShownSignals(NamedTuple):
-    """The output and the input of a plant."""
+    """The output and the input of a single loop: of a plant with one, or of one of its `channels`."""
 
     output: ShownSignal
     input: ShownSignal
 
 
 def signal_names(plant: type[Plant]) -> ShownSignals:
-    """Names and units of a single loop from the plant's declarations; see `channels`."""
-    y = plant.output
-    u = plant.drive
-    driven = "control" if u.name.lower() == u.unit.lower() else u.name.replace("_", " ")
+    """The output and the input of a single loop, as they are shown.
+
+    Raises:
+        SignalError: the plant has several; ask one of its `channels`.
+    """
     return ShownSignals(
-        ShownSignal(y.name.replace("_", " "), y.unit, y.decimals),
-        ShownSignal(driven, u.unit, u.decimals),
+        one_of_each("output", shown_outputs(plant)),
+        one_of_each("input", shown_inputs(plant)),
     )
 
 
 def shown_outputs(plant: type[Plant]) -> list[ShownSignal]:
     """The outputs of a plant; several are called as the texts in the plant file say."""
-    return list(dict.fromkeys(signal_names(alone).output for alone in channels(plant)))
+    return [
+        ShownSignal(name, y.unit, y.decimals)
+        for name, y in zip(_called(plant.outputs), plant.outputs.values(), strict=True)
+    ]
 
 
 def shown_inputs(plant: type[Plant]) -> list[ShownSignal]:
-    """The inputs, likewise."""
-    return list(dict.fromkeys(signal_names(alone).input for alone in channels(plant)))
+    """The inputs of a plant; several are called as their texts say."""
+    signals = []
+    for name, u in zip(_called(plant.drives), plant.drives.values(), strict=True):
+        is_unit = name.lower() == u.unit.lower()
+        signals.append(ShownSignal("control" if is_unit else name, u.unit, u.decimals))
+    return signals
+
+
+def shown_signals(plant: type[Plant]) -> list[ShownSignal]:
+    """The outputs of a plant, then its inputs."""
+    return [*shown_outputs(plant), *shown_inputs(plant)]
+
+
+def _called(declared: Mapping[str, Output] | Mapping[str, Drive]) -> list[str]:
+    """What outputs or inputs are called: several by their texts, a single one by its name."""
+    several = len(declared) > 1
+    names = [
+        (several and quantity.text) or quantity.name for quantity in declared.values()
+    ]
+    return [name.replace("_", " ") for name in names]
 
 
 def with_unit(name: str, unit: str) -> str:

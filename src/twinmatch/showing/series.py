@@ -10,7 +10,7 @@ import numpy as np
 from twinmatch.dynamics import Parameters, Response, begin_window, simulate_driven
 from twinmatch.dynamics.simulation import SKIPPED
 from twinmatch.forecasting import Band, Forecast
-from twinmatch.signals import FloatArray, Window, column_of, rms
+from twinmatch.signals import FloatArray, Window, column_of, only, rms
 from twinmatch.twin import TwinSettings, response_on
 
 
@@ -28,6 +28,11 @@ class Comparison:
         """The comparison of the k-th output and input alone; where there are fewer, of the last."""
         closed = self.closed and self.closed.alone(k)
         return Comparison(self.window.alone(k), closed, column_of(self.driven, k))
+
+    @property
+    def driven_output(self) -> FloatArray:
+        """Output of the driven twin of a single loop, shape (N,)."""
+        return only("output", self.driven)
 
     @property
     def time(self) -> FloatArray:
@@ -60,7 +65,7 @@ class Comparison:
     @property
     def driven_residual_y(self) -> FloatArray:
         """Measured minus driven-twin output."""
-        return self._off(self.window.output, self.driven[:, 0])
+        return self._off(self.window.output, self.driven_output)
 
     def _off(self, measured: FloatArray, twin: FloatArray) -> FloatArray:
         return self.window.received(measured[SKIPPED:] - twin)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Final
+from typing import Final, NamedTuple
 
 from twinmatch.comparing import (
     ADMITTED,
@@ -26,7 +26,7 @@ from twinmatch.health import EstimatedReading
 from twinmatch.health.faults import HOUR
 from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.family import GAIN, GAP_NOW, GAP_SUM, chosen_score
-from twinmatch.showing.quantities import number, percent, signal_names
+from twinmatch.showing.quantities import number, percent, shown_signals
 from twinmatch.signals import Sample
 from twinmatch.twin import MatchReport
 
@@ -63,48 +63,58 @@ def _decided(verdict: Verdict) -> str:
     return "yes" if verdict.decided else "no"
 
 
-COLUMNS: Final[dict[str, Callable[[Verdict, float], str]]] = {
-    "t / s": lambda v, period: number(v.sample * period, 0),
-    "level": lambda v, _: v.level.value,
-    "decided": lambda v, _: _decided(v),
-    "order": lambda v, _: _of_order(v, lambda score: score.order),
-    GAIN.label: lambda v, _: _of_order(v, lambda score: GAIN.text(score.total)),
-    GAP_SUM.label: lambda v, _: _of_nominal(v, GAP_SUM.text),
-    GAP_NOW.label: lambda v, _: _of_nominal(v, GAP_NOW.text),
-    "miss y / half band": lambda v, _: number(v.miss_y),
-    "miss u / half band": lambda v, _: number(v.miss_u),
-    "nominal": lambda v, _: v.nominal or number(None),
-    "leader": lambda v, _: v.leader or number(None),
-    "why": lambda v, _: (
-        statements_of(v).trust.reason if v.level is TrustLevel.DOUBTFUL else v.reason
+class VerdictColumn(NamedTuple):
+    """A column of verdicts on the terminal and in lines."""
+
+    text: Callable[[Verdict, float], str]
+    """The cell of a verdict, for a sampling period in s."""
+    width: int = 0
+    """Its width in a plain line, which has 120 characters with the longest name of two parts; 0: nothing
+    follows it there."""
+
+
+COLUMNS: Final[dict[str, VerdictColumn]] = {
+    "t / s": VerdictColumn(lambda v, period: number(v.sample * period, 0), 6),
+    "level": VerdictColumn(lambda v, _: v.level.value, 8),
+    "decided": VerdictColumn(lambda v, _: _decided(v), 7),
+    "order": VerdictColumn(lambda v, _: _of_order(v, lambda score: score.order), 5),
+    GAIN.label: VerdictColumn(
+        lambda v, _: _of_order(v, lambda score: GAIN.text(score.total)), 5
+    ),
+    GAP_SUM.label: VerdictColumn(lambda v, _: _of_nominal(v, GAP_SUM.text), 7),
+    GAP_NOW.label: VerdictColumn(lambda v, _: _of_nominal(v, GAP_NOW.text), 9),
+    "miss y / half band": VerdictColumn(lambda v, _: number(v.miss_y), 6),
+    "miss u / half band": VerdictColumn(lambda v, _: number(v.miss_u), 6),
+    "nominal": VerdictColumn(lambda v, _: v.nominal or number(None), 8),
+    "leader": VerdictColumn(lambda v, _: v.leader or number(None)),
+    "why": VerdictColumn(
+        lambda v, _: (
+            statements_of(v).trust.reason
+            if v.level is TrustLevel.DOUBTFUL
+            else v.reason
+        )
     ),
 }
-"""Headings of a verdict's cells, and their texts for a sampling period in s.
+"""The columns of verdicts by their headings.
 
-The misses are those of the leader, in half widths of its bands; order, gain and ν-gaps those of the nominal
-candidate.
+The misses are those of the leader, in half widths of its bands, of several outputs or inputs the largest;
+order, gain and ν-gaps those of the nominal candidate.
 """
 
 
 def row(verdict: Verdict, period: float = 1.0) -> dict[str, str]:
     """The cells of one verdict by their headings; `period` is the sample time, s."""
-    return {name: cell(verdict, period) for name, cell in COLUMNS.items()}
+    return {name: column.text(verdict, period) for name, column in COLUMNS.items()}
 
 
 def missed(verdict: Verdict) -> str:
     """How far the newest samples are from the forecast, in half widths of the band."""
     if math.isnan(verdict.miss_y):
         return LEVEL_WORDS[TrustLevel.UNKNOWN]
-    plant = verdict.plant if verdict.forecasts else None
-    if plant is None or plant.single:
-        names = (
-            [signal.name for signal in signal_names(plant)]
-            if plant
-            else ["output", "control"]
-        )
-        misses = list(zip(names, (verdict.miss_y, verdict.miss_u), strict=True))
-    else:
-        misses = [(plant.called(score.signal), score.miss) for score in verdict.signals]
+    names = ["output", "control"]
+    if verdict.forecasts and verdict.plant is not None:
+        names = [signal.name for signal in shown_signals(verdict.plant)]
+    misses = zip(names, verdict.misses, strict=False)  # given inputs have none
     parts = [
         f"{name} {number(miss, 1)}" for name, miss in misses if not math.isnan(miss)
     ]

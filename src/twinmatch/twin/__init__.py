@@ -8,7 +8,7 @@ pushed: no clock, no thread, no random state, so a replay of a recorded session 
 verdicts.
 """
 
-from twinmatch.twin.door import Door, Settling, filled_stretches
+from twinmatch.twin.door import Door, filled_stretches
 from twinmatch.twin.engine import Discriminator, Outcome, Step, Twin
 from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out
@@ -44,7 +44,6 @@ __all__ = [
     "Outcome",
     "Schedule",
     "ScheduleSettings",
-    "Settling",
     "Snapshot",
     "Step",
     "StructureFits",

@@ -103,10 +103,9 @@ class Discriminator:
         self._external = [
             model for model in watched(self.settings.plant) if model.is_external
         ]
-        self._waiting: deque[Sample] = deque()
-        """Samples before the door."""
-        self._entered: deque[Sample] = deque()
-        """Samples that the door has settled, and that nothing else has taken yet."""
+        self._door = Door(self.settings)
+        self._steps_recurred = False
+        """Whether refused steps have recurred, and the fault of them has been taken back."""
         self._watched: int | None = None
         """The newest sample, once the plant's health has been judged at it."""
         self._settled: int | None = None
@@ -119,7 +118,6 @@ class Discriminator:
         self._fits: Future[None] | None = None
         """The structures' fits to the window whose match is awaited, in a thread beside it."""
         self._recurring: _Recurring | None = None
-        self._begin_door()
         self._begin_health()
         self._begin_candidates()
         self._last_on_estimate: int | None = None
@@ -129,9 +127,8 @@ class Discriminator:
 
     def _begin_door(self) -> None:
         """Settle samples without knowing any before."""
-        self._door = Door.of(self.settings)
+        self._door.restart()
         self._steps_recurred = False
-        self._entered.clear()
 
     def _begin_health(self) -> None:
         """Watch the plant's health without a past; a fault that is on stays on."""
@@ -218,12 +215,14 @@ class Discriminator:
         A few samples lost before it get stand-ins, and so do a few refused readings; these count nowhere.
         After more, everything starts over.
         """
-        self._waiting.append(sample)
+        self._door.push(sample)
         return Step((), None) if self._request is not None else self._settle([])
 
     def settle_rest(self, samples: Iterable[Sample]) -> list[Sample]:
         """Settle the samples that follow, which nothing else takes: this discriminator ends here."""
-        return [settled for sample in samples for settled in self._door.take(sample)]
+        for sample in samples:
+            self._door.push(sample)
+        return self._door.settled()
 
     def push_match(self, report: MatchReport) -> Step:
         """Take one match; return the verdicts now due, and the next match to request.
@@ -285,17 +284,18 @@ class Discriminator:
         return [] if self._due is None else self._on_trigger(self._due)
 
     def _next(self, verdicts: list[Verdict]) -> Sample | None:
-        """The next settled sample; None once the queue is empty.
+        """The next settled sample; None once nothing waits at the door.
 
         The door settles a sample only when all before it have been taken: it learns from their verdicts.
         """
-        if not self._entered and self._waiting:
-            sample = self._waiting.popleft()
-            with self._replacing_defect(verdicts, sample.index, self._begin_door):
-                self._entered.extend(self._door.take(sample))
-            if not self._entered:  # a door passes every sample on
-                self._entered.append(replace(sample, usable=False))
-        return self._entered.popleft() if self._entered else None
+        oldest = self._door.oldest
+        if oldest is None:
+            return None
+        settled: Sample | None = None
+        with self._replacing_defect(verdicts, oldest.index, self._begin_door):
+            settled = self._door.next()
+        # a door passes every sample on, also one at which it had a defect
+        return replace(oldest, usable=False) if settled is None else settled
 
     @contextmanager
     def _replacing_defect(

@@ -216,7 +216,7 @@ def verdict_of(known: Knowledge) -> Verdict:
         trusted=tuple(
             horizon for horizon in known.horizons if horizon not in known.doubts
         ),
-        signals=_signals(known),
+        signals=signal_scores(known),
     )
 
 
@@ -283,7 +283,7 @@ def no_verdict(
     )
 
 
-def _signals(known: Knowledge) -> tuple[SignalScore, ...]:
+def signal_scores(known: Knowledge) -> tuple[SignalScore, ...]:
     """How far to trust the forecasts of each signal; figures of the newest bands are NaN without any."""
     newest = known.bands.each or ((math.nan, math.nan),) * len(known.alone)
     scores = []

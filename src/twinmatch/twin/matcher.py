@@ -24,7 +24,8 @@ from twinmatch.twin.settings import TwinSettings
 
 _blas = cache(ThreadpoolController)
 _lock = Lock()
-_logged: dict[str, Defect] = {}
+logged_defects: dict[str, Defect] = {}
+"""Defects that prevented matches in this process, by their places: each is logged once."""
 """Defects that prevented matches in this process, by their places."""
 _limits_in_use: list[Any] = []
 """The one limit on the process's BLAS, as often as threads rely on it; the last of them lifts it."""
@@ -114,7 +115,7 @@ def carry_out(request: MatchRequest, settings: TwinSettings) -> MatchReport:
 
 def _not_made(request: MatchRequest, free: tuple[str, ...], defect: Defect) -> Match:
     """The answer to a request whose match a defect has prevented: without one, no verdict would follow."""
-    log_once("a window could not be matched", defect, _logged)
+    log_once("a window could not be matched", defect, logged_defects)
     reason = f"the window could not be matched, because of a defect in {defect}"
     return without_fit(
         request.window, free, request.start, Status.DID_NOT_CONVERGE, reason

@@ -173,6 +173,10 @@ class StructureFits:
         best_first = sorted(able, key=lambda competitor: competitor.fit.charge)
         return tuple(competitor.candidate for competitor in best_first)
 
+    def charge_of(self, candidate: Candidate) -> float:
+        """The `StructureFit.charge` of one of the candidates."""
+        return self._competitors[candidate.name].fit.charge
+
     def push(self, window: Window, *, excited: bool) -> None:
         """Take one window of the schedule, of a healthy plant; choose and fit if that is due.
 

@@ -87,7 +87,7 @@ def test_the_least_squares_and_their_aicc_are_those_of_statsmodels(
 def test_rows_that_cannot_be_written_need_no_kernel_of_their_own() -> None:
     u, y = second_order(400, 0.05, 3)
     model = fitted(y[:, None], u[:, None])
-    kernel = baselines._simulate
+    kernel = baselines.simulate_arx
     ahead = u[:20].copy()
     written = model.forecast(ahead, None)
     compiled_count = len(kernel.signatures)

@@ -15,7 +15,7 @@ pytest.importorskip(
 
 from bokeh.document import Document
 from bokeh.events import ButtonClick
-from bokeh.models import ColumnDataSource
+from bokeh.models import Button, ColumnDataSource
 
 from tests.support.colours import contrast
 from twinmatch.forecasting import Band, Forecast
@@ -306,17 +306,25 @@ def test_the_form_asks_what_is_entered() -> None:
 
         def stop(self) -> None: ...
 
-    level, time, button = question_form(Asked(), "set-point / °C").children
-    button._trigger_event(ButtonClick(button))
+    document = Document()
+
+    def press(button: Button) -> None:
+        document.callbacks.trigger_event(ButtonClick(button))
+
+    form = question_form(Asked(), "set-point / °C")
+    document.add_root(form)
+    level, time, button = form.children
+    press(button)
     assert heard == []  # nothing was entered
     for hold in (None, 90.0):
         level.value = 55.0
         time.value = hold
-        button._trigger_event(ButtonClick(button))
+        press(button)
     assert heard == [(55.0, None), (55.0, 90.0)]
-    buttons = rig_form(Asked(), "").children
-    for button in buttons[:4]:
-        button._trigger_event(ButtonClick(button))
+    commands = rig_form(Asked(), "")
+    document.add_root(commands)
+    for button in commands.children[:4]:
+        press(button)
     assert asked == [(False, False), (True, False), (False, True)]
     assert continued == [True]
 

@@ -28,7 +28,12 @@ from twinmatch.showing.figures.drawing import (
     time_axis,
 )
 from twinmatch.showing.figures.family import draw_gains, fill_matrix
-from twinmatch.showing.quantities import outputs_unit, signal_names
+from twinmatch.showing.quantities import (
+    outputs_unit,
+    shown_outputs,
+    shown_signals,
+    signal_names,
+)
 from twinmatch.showing.series import Comparison, compare, rolling_rms
 from twinmatch.showing.style import (
     CLOSED,
@@ -141,7 +146,7 @@ def _draw_twins(upper: Axes, control: Axes, part: Comparison, *, first: bool) ->
     if part.closed is not None:
         upper.plot(part.time, part.closed.output, color=CLOSED, lw=1, label=closed)
         control.plot(part.time, part.closed.input, color=CLOSED, lw=0.8, label=closed)
-    upper.plot(part.time, part.driven[:, 0], color=DRIVEN, lw=1, ls=":", label=driven)
+    upper.plot(part.time, part.driven_output, color=DRIVEN, lw=1, ls=":", label=driven)
 
 
 def _draw_residuals(axes: Sequence[Axes], part: Comparison, *, first: bool) -> None:
@@ -242,21 +247,13 @@ def _draw_levels(
 def _misses(
     verdicts: Sequence[Verdict], plant: type[Plant], *, closed: bool
 ) -> dict[str, dict[int, float]]:
-    """The misses of each signal by sample; of several signals those of inputs only if they were forecast."""
-    if plant.single:
-        y, u = signal_names(plant)
-        return {
-            y.name: {v.sample: v.miss_y for v in verdicts},
-            u.name: {v.sample: v.miss_u for v in verdicts},
-        }
-    misses: dict[str, dict[int, float]] = {
-        name: {} for name in (*plant.outputs, *(plant.drives if closed else ()))
-    }
+    """The misses of each signal by sample; of inputs only if they were forecast."""
+    signals = shown_signals(plant) if closed else shown_outputs(plant)
+    misses: dict[str, dict[int, float]] = {signal.name: {} for signal in signals}
     for verdict in verdicts:
-        for score in verdict.signals:
-            if score.signal in misses:
-                misses[score.signal][verdict.sample] = score.miss
-    return {plant.called(name): miss_at for name, miss_at in misses.items()}
+        for signal, miss in zip(signals, verdict.misses, strict=False):
+            misses[signal.name][verdict.sample] = miss
+    return misses
 
 
 def _draw_misses(
@@ -370,7 +367,7 @@ def _draw_leader(
 ) -> None:
     """The leader's output and, in closed loop, its input."""
     for number, part in enumerate(parts):
-        output = part.driven if part.closed is None else part.closed.output
+        output = part.driven_output if part.closed is None else part.closed.output
         upper.plot(
             part.time, output, color=CLOSED, lw=1, label=label if number == 0 else "_"
         )

@@ -119,9 +119,8 @@ def _of_goal(answer: GoalAnswer) -> Iterator[_Gauge]:
 def _of_verdict(state: DashboardState, verdict: Verdict) -> Iterator[_Gauge]:
     """How the leader's forecasts came true."""
     shares = [(share, (f"{horizon:g}",)) for horizon, share in coverage(state).items()]
-    names = state.described.outputs[0].name, state.described.inputs[0].name
-    single = zip((verdict.miss_y, verdict.miss_u), names, strict=True)
-    misses = [(score.miss, score.signal) for score in verdict.signals] or single
+    signals = (*state.described.outputs, *state.described.inputs)
+    misses = zip(signals, verdict.misses, strict=False)  # given inputs have none
     text = "Share of the readings that the leader's bands have held; 0.9 is expected."
     yield "forecast_coverage_ratio", text, "horizon", shares
     text = "RMS of reading minus the leader's forecast over the newest samples, in half widths of its band."
@@ -129,7 +128,7 @@ def _of_verdict(state: DashboardState, verdict: Verdict) -> Iterator[_Gauge]:
         "forecast_error_rms",
         text,
         "signal",
-        [(miss, (name,)) for miss, name in misses],
+        [(miss, (signal.name,)) for signal, miss in misses],
     )
     ratios = [
         (1.0 - skill, (baseline, f"{horizon:g}"))

@@ -234,7 +234,7 @@ def _entities(state: DashboardState) -> Iterator[_Entity]:
         yield _Entity("sensor", f"forecast_{output.name}", fields, mean, attributes)
     if state.goal is not None:
         yield from _goal_entities(
-            template, state.goal.goal.level, state.described.outputs[0].unit
+            template, state.goal.goal.level, state.described.output.unit
         )
     problem = {"name": "Fault", "device_class": "problem"}
     is_faulty = "'ON' if value_json.fault else 'OFF'"

@@ -9,7 +9,7 @@ from itertools import islice
 
 from twinmatch.comparing import ANYWHERE, Statements, TrustLevel, Verdict, plant_fault
 from twinmatch.description import Quantity, nth
-from twinmatch.offline.summary import trust_range
+from twinmatch.offline.summary import TrustRange, held_levels, shown_twin
 from twinmatch.safety import is_limit
 from twinmatch.showing.family import criterion_rows, family_table_of, outputs_of
 from twinmatch.showing.page.health import NodeReports
@@ -85,20 +85,14 @@ def what_to_do(state: DashboardState) -> str:
             f"Step the {references} and hold it for some minutes (in open loop the {inputs}): a twin is "
             "matched to the plant's response."
         )
-    unit = described.outputs[0].unit + (
-        f" of {described.loops[0][1].name}" if described.outputs[1:] else ""
+    twin = shown_twin(state.verdict)
+    levels = (
+        held_levels(twin.parameters.model.plant, state.tally.held) if twin else None
     )
-    return _advice(
-        statements, unit, described.outputs[0].decimals - 1, state.tally.held
-    )
+    return _advice(statements, levels)
 
 
-def _advice(
-    statements: Statements,
-    unit: str,
-    decimals: int,
-    ranges: Sequence[tuple[float, float]],
-) -> str:
+def _advice(statements: Statements, levels: TrustRange | None) -> str:
     """What to do after a verdict."""
     level = statements.trust.level
     if level is TrustLevel.FAULT:
@@ -110,7 +104,6 @@ def _advice(
             "Do not rely on forecasts. If the plant was changed, let it step and settle, so that a twin is "
             "matched again; if not, look at drive and sensor."
         )
-    levels = trust_range(ranges, unit, decimals)
     proven = f"; its forecasts have come true {levels}" if levels else ""
     return f"Nothing. Ask the leader what comes next{proven}."
 
@@ -409,7 +402,7 @@ def goal(state: DashboardState) -> str:
     """When the level that is asked for is reached, and when to begin."""
     if state.goal is None:
         return ""
-    words = state.goal.lines(state.described.outputs[0].unit)
+    words = state.goal.lines(state.described.output.unit)
     lines = "".join(f"<p>{escape(line)}</p>" for line in words)
     return f'<div class="answered"><b>When is it there?</b>{lines}</div>'
 

@@ -569,6 +569,6 @@ def _samples_in(
     for index, references, outputs, inputs in zip(
         columns["index"].tolist(), *rows_of_kinds, strict=True
     ):
-        if not math.isnan(references[0]):
+        if not all(map(math.isnan, (*references, *outputs, *inputs))):
             samples.append(Sample(int(index), int(index), references, outputs, inputs))
     return samples

@@ -215,7 +215,7 @@ class Tab:
         self._span = RadioButtonGroup(name="span", stylesheets=[BUTTONS], **spans)
         self._player = PlayerButtons(requests)
         has_one_loop = described.loops[1:] == ()
-        label = described.references[0].label if has_one_loop else ""
+        label = described.reference.label if has_one_loop else ""
         self._forms = [question_form(requests, label)] if has_one_loop else []
         self._control = requests.control
         if self._control:

@@ -289,8 +289,15 @@ def _steps(samples: Sequence[Sample], settings: TwinSettings) -> str:
 
 
 def _step(settings: TwinSettings) -> str:
-    """The least step that counts."""
-    return f"{settings.schedule.min_step:g} {shown_outputs(settings.plant)[0].unit}".rstrip()
+    """The least step of each output that counts, alike ones once."""
+    least = settings.schedule.min_step
+    steps = [
+        f"{least * scale:.3g} {output.unit}".rstrip()
+        for scale, output in zip(
+            settings.units, shown_outputs(settings.plant), strict=True
+        )
+    ]
+    return " or ".join(dict.fromkeys(steps))
 
 
 _Fitted = list[tuple[ShownSignal, str, float]]
