@@ -208,7 +208,7 @@ class FaultSentences:
         elif fault in {Fault.SENSOR_DRIFT, Fault.ROOM_CHANGED}:
             size = best.shift
             text = f"{signed(best.shift)} {unit}".rstrip()
-        if best.cause[1] == EVERY:
+        if best.cause[1] == EVERY and fault is not Fault.DRIFT:
             left = (
                 "no effect" if fault is Fault.DRIVE_LOST else f"{text} of their effect"
             )
