@@ -12,13 +12,16 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from benchmarks import two_heaters
 from benchmarks.bank.kits import BEGINS, run, typical
 from tests.support.recorded_kits import kit_rows
 from tests.support.watched import copied
 from twinmatch.health import Fault
 from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
-from twinmatch.health.evidence import Competition
-from twinmatch.health.faults import EstimatedReading
+from twinmatch.health.evidence import Competition, Suspect
+from twinmatch.health.faults import EVERY, EstimatedReading
+from twinmatch.health.hypotheses import ChangeRow
+from twinmatch.health.sentences import FaultSentences
 from twinmatch.signals import Sample
 
 WIDE = ("T1", "T2", "Q1", "Q2")
@@ -109,6 +112,20 @@ def test_a_sensor_that_is_off_is_named_with_its_channel() -> None:
     assert alarm.rivals == ()
 
 
+def test_an_unnamed_change_that_may_be_of_all_drives_has_the_sentence_of_one_without_a_name() -> (
+    None
+):
+    row = ChangeRow((Fault.DRIVE_WEAK, EVERY), "share 0", also=("share 1",))
+    suspect = Suspect(row.cause, 6.2, row, 0.12, 0.04, 1800, 0)
+    sentences = FaultSentences(typical().model, 1.0)
+    rivals = tuple(
+        sentences.called(cause) for cause in (suspect.cause, (Fault.ROOM_CHANGED, 2))
+    )
+    _, _, reason = sentences.said(Fault.DRIFT, suspect, 1.12, rivals)
+    assert " or ".join(rivals) in reason
+    assert "of their effect" not in reason
+
+
 def test_a_lost_heater_is_named_with_its_channel() -> None:
     monitor, samples = kit_21("Q2 × 0")
     for sample in islice(samples, 45):
@@ -148,6 +165,8 @@ def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_
         monitor.push(sample)
     assert not through
     assert monitor.on is None
+    assert monitor.lied_between(onset, onset + 400)
+    assert not monitor.lied_between(sample.index, sample.index)
 
 
 def test_a_real_heater_of_which_half_arrives_is_named_and_nothing_before() -> None:
@@ -253,6 +272,21 @@ def test_beside_a_sensor_that_is_read_through_none_is_rehearsed() -> None:
     )
 
 
+def test_a_display_that_stands_does_not_confirm_a_forecast_that_was_wrong_before() -> (
+    None
+):
+    """After the first step of one loop, forecasts are off by 3 °C and more; then a loop that holds its
+    set-point shows one reading for more than a minute."""
+    pytest.importorskip(
+        "tclab", reason="the simulated kit is not installed; it is in the extra 'tclab'"
+    )
+    monitor = watched(two_heaters.run(9, None, "linear"), 640)
+    (sensor, _) = monitor.competition.sensors
+    assert sensor.repeats > 60
+    assert sensor.frozen - math.log(3600.0) > 4.0  # enough to name it
+    assert not monitor.alarms
+
+
 def test_an_impossible_sensor_is_read_through_by_the_newest_filter() -> None:
     """No filter has taken such readings, so the best one needs no forecast from before them."""
     monitor, samples = kit_21()
@@ -283,6 +317,9 @@ def test_a_drive_that_is_given_back_ends_no_reading_through() -> None:
             assert [estimate.signal for estimate in monitor.estimates] == [
                 "second_temperature"
             ], sample.index
+            assert monitor.lied_between(sample.index, sample.index)
+    assert len(monitor.alarms) > 1  # that of the sensor has ended, the lie has not
+    assert not monitor.lied_between(0, BEGINS - 10)
 
 
 def test_a_rehearsal_from_before_the_plant_is_known_counts_until_a_later_one_is_over() -> (

@@ -36,6 +36,7 @@ from twinmatch.showing.forecasts import (
     forecast_words,
 )
 from twinmatch.showing.quantities import in_order, number, parameter_format
+from twinmatch.showing.report.pictures import hardest_forecasts
 from twinmatch.showing.series import Fan, compare, fan, rolling_rms
 from twinmatch.showing.style import (
     CLOSED,
@@ -47,7 +48,7 @@ from twinmatch.showing.style import (
     TEXT,
 )
 from twinmatch.showing.summary import document, sentence
-from twinmatch.signals import KELVIN, Sample, stretches
+from twinmatch.signals import KELVIN, Sample, Window, stretches
 from twinmatch.twin import MatchReport, Twin, TwinSettings, filled_stretches
 
 
@@ -407,6 +408,21 @@ def test_it_is_so_up_to_another_set_point_a_missing_sample_or_the_end(
         == compared.in_band[1].size
         == compared.judged
     )
+
+
+def test_of_several_inputs_any_that_moves_makes_a_forecast_hard() -> None:
+    """Of ten forecasts of the first output, whose own input rests but for one small step, six are shown."""
+    inputs = np.full((200, 2), 30.0)
+    inputs[30, 0] = 32.0
+    for k in (4, 5, 6, 8, 9):
+        inputs[20 * k + 10, 1] = 60.0
+    window = Window(np.zeros((200, 2)), np.full((200, 2), 40.0), inputs)
+    forecasts = [
+        forecast([40.0] * 10, [math.nan] * 10, sample=20 * k + 5) for k in range(10)
+    ]
+    assert not any(made.closed for made in forecasts)
+    hardest = hardest_forecasts(forecasts, [window], TCLabBoth)
+    assert [made.sample for made in hardest] == [25, 85, 105, 125, 165, 185]
 
 
 def test_nothing_recorded_behind_it_is_nothing_to_say_and_what_was_known_ends_at_a_gap() -> (

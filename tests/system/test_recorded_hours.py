@@ -19,6 +19,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from tests.golden import compare, digest
+from tests.support.documented_trust import check_trust
 from twinmatch.comparing import TrustLevel
 from twinmatch.dynamics import Parameters, begin, simulate_closed_loop
 from twinmatch.forecasting import Outlook
@@ -191,6 +192,7 @@ def test_results_are_the_golden_ones(
             judgement.name, judgement.verdicts, judgement.summary, judgement.matches
         )
         as_read = json.loads(json.dumps(written))
+        check_trust(as_read["verdicts"])
         different, compared = compare(f"rig_{number}", digest({"replay": as_read}))
         assert not different, f"hour {number}, compared: {compared}"
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.bank.kits import typical
+from tests.support.documented_trust import check_trust, documents_of_verdicts
 from tests.support.exchanging import Heaters
 from tests.support.laws import kit_session
 from twinmatch.comparing import Verdict
@@ -113,6 +114,12 @@ def test_trust_is_said_of_each_signal(in_loop: list[Verdict]) -> None:
     np.testing.assert_allclose(last.leading.coverage, least, atol=0.2)
 
 
+def test_trusted_horizons_of_several_outputs_pass_the_documented_test(
+    in_loop: list[Verdict],
+) -> None:
+    check_trust(documents_of_verdicts(in_loop), outputs=("first", "second"))
+
+
 def test_an_impossible_reading_is_a_fault_of_its_channel() -> None:
     samples = looped(100)
     right = looped(100)
@@ -156,6 +163,7 @@ def test_a_real_kit_is_trusted_in_a_loop_of_another_law(
     assert "not those of the loop in the plant file" in terms.source
     verdicts = verdicts_of(terms.settings, session.samples[:1400])
     assert not any(verdict.fault for verdict in verdicts)
+    check_trust(documents_of_verdicts(verdicts), outputs=tuple(TCLabBoth.outputs))
     later = [verdict.level.value for verdict in verdicts if verdict.sample >= 1000]
     assert later.count("trusted") >= 0.8 * len(later)
     inside = np.array([trust.inside for trust in verdicts[-1].signals])

@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.documented_trust import check_trust, documents_of_verdicts
 from tests.support.guessing import ever_trusted, levels
 from twinmatch.forecasting import Band, Forecast
+from twinmatch.twin import Outcome
 from twinmatch.twin.trust import BandCheck, BandHistory, LeaderConfidence, check_band
 
 NOISE = 0.1
@@ -148,6 +150,18 @@ def test_a_twin_that_beats_nobody_is_not_trusted() -> None:
         sum(is_trusted for seed in range(4) for is_trusted in ever_trusted(seed)) <= 4
     )
     assert all(ever_trusted(0, better=0.5))
+
+
+def test_a_horizon_is_trusted_if_the_documented_test_passes_at_that_very_verdict(
+    simulated_outcomes: list[Outcome],
+) -> None:
+    verdicts = [v for outcome in simulated_outcomes for v in outcome.verdicts]
+    documents = documents_of_verdicts(verdicts)
+    check_trust(documents)
+    assert documents[-1]["trusted"]
+    trusted_without_reason = {**documents[0], "trusted": documents[-1]["trusted"]}
+    with pytest.raises(AssertionError, match="sample"):
+        check_trust([trusted_without_reason])
 
 
 def test_the_level_of_an_exact_motor_changes_once(

@@ -184,6 +184,12 @@ class Alarm:
         """Whether the plant or its sensor is another while it lasts."""
         return self.spoils or self.fault in SLOW
 
+    @property
+    def lies(self) -> bool:
+        """Whether readings are not the plant's while it lasts."""
+        is_of_sensor = TRAITS[self.fault].subject is Subject.OUTPUT
+        return is_of_sensor and self.alters and not self.withdrawn
+
     def overlaps(self, first: int, last: int) -> bool:
         """Whether it touches the samples `first` to `last`."""
         return self.first <= last and (self.last is None or self.last >= first)

@@ -204,6 +204,9 @@ class HealthyMixture:
         self._waiting: deque[ScoredForecast] = deque()
         self.skill = ForecastSkill(len(model.noise))
         self._values_begun = np.zeros((_RECORD.count, len(model.noise)))
+        self._misses_when_fresh = np.zeros((_RECORD.count, len(model.noise)))
+        """By how much each forecast missed the newest fresh reading of each output, squared and in its
+        variance."""
         self.doubts = np.ones(1)
         """By how much evidence is divided, for each age of a change, samples."""
         self.restart()
@@ -326,12 +329,27 @@ class HealthyMixture:
         self.best = int(np.argmax(self.log_weights[: self.levels]))
         return total
 
+    def take_fresh(
+        self, values: FloatArray, variance: FloatArray, is_fresh: BoolArray
+    ) -> None:
+        """Note how forecasts miss the readings, of these variances, that are not repeated ones."""
+        expected = self.members.expected[self.healthy :]
+        expected_variance = self.members.variance[self.healthy :] + variance
+        misses = (values - expected) ** 2 / expected_variance
+        self._misses_when_fresh[:, is_fresh] = misses[:, is_fresh]
+
     def missed(self, since: int, output: int, value: float, variance: float) -> bool:
-        """Whether this reading, of this variance, is far from a forecast that was made before a sample."""
+        """Whether this reading, which is repeated since a sample and has this variance, is far from a forecast
+        that was made before.
+
+        A forecast counts for what it was worth when the reading was fresh: the more of its standard
+        deviations it was off by then, the farther it has to be off now.
+        """
         members = self.members
         expected = members.expected[self.healthy :, output]
-        spread = members.variance[self.healthy :, output]
-        far = (value - expected) ** 2 > _RECORD.far**2 * (spread + variance)
+        spread = members.variance[self.healthy :, output] + variance
+        dispersion = np.maximum(self._misses_when_fresh[:, output], 1.0)
+        far = (value - expected) ** 2 > _RECORD.far**2 * dispersion * spread
         return bool((far & self._begun_before(since)).any())
 
     def _begun_before(self, since: int) -> BoolArray:

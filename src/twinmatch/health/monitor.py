@@ -141,6 +141,10 @@ class Monitor:
         """The first alarm that touches these samples; see `touching`."""
         return touching(self._alarms, first, last, slow=slow)
 
+    def lied_between(self, first: int, last: int) -> bool:
+        """Whether the sensor is known to have lied between two samples, both included."""
+        return any(alarm.lies and alarm.overlaps(first, last) for alarm in self._alarms)
+
     def push(self, sample: Sample, parameters: Parameters | None = None) -> Health:
         """Take one sample; judge the plant as it is now."""
         previous = self._newest

@@ -121,6 +121,11 @@ class ReadThrough:
             )
         return longest
 
+    def bands_off(self, value: float) -> float:
+        """By how many bands a reading is off from the estimate."""
+        expected, band = self.estimate
+        return abs(value - expected) / band
+
     def _seen_in(self, members: BankMembers, age: int) -> MissingReading:
         expected = float(members.expected[0, self._output])
         variance = float(members.variance[0, self._output])
@@ -147,6 +152,8 @@ class Rehearsal:
     def drop(self) -> None:
         """Forget the one that is on: something else than its error may have come into it."""
         self.on: ReadThrough | None = None
+        self._bands_when_fresh = math.nan
+        """By how many of its bands it was off when the sensor's newest fresh reading came."""
         self._began_early = False
         self._squares, self._samples = np.zeros((2, _AGES.size))
 
@@ -162,6 +169,8 @@ class Rehearsal:
             return
         of_others = np.arange(reading.seen.size) != output
         self.on.push(reading._replace(seen=reading.seen & of_others), variance)
+        if reading.seen[output] and not reading.repeated[output]:
+            self._bands_when_fresh = self.on.bands_off(float(reading.y[output]))
         age = int(np.searchsorted(self._ends, self.on.samples))
         if age == _AGES.size:
             if reading.repeated[output]:
@@ -184,11 +193,16 @@ class Rehearsal:
             self._samples[age] += 1.0
 
     def missed(self, since: int, value: float) -> bool:
-        """Whether this reading is far from the estimate, if that is older than so many samples."""
+        """Whether this reading, which has been repeated for so many samples, is far from an estimate that is
+        older.
+
+        An estimate counts for what it was worth when the reading was fresh: the more of its standard
+        deviations it was off by then, the farther it has to be off now.
+        """
         if self.on is None or self.on.samples <= since:
             return False
-        expected, band = self.on.estimate
-        return abs(value - expected) > _BANDS.far * band
+        deviations_when_fresh = _Z * self._bands_when_fresh
+        return self.on.bands_off(value) > _BANDS.far * max(deviations_when_fresh, 1.0)
 
     def band(self, age: int, variance: float, noise: float) -> float:
         """Half of the width that holds nine of ten readings at an age, samples: that of Student's t, as the

@@ -235,7 +235,7 @@ class FaultSentences:
         effect."""
         name, declared = self._concerned(best.cause)
         size, text = _size(fault, best.shift, share, declared.unit)
-        if best.cause[1] == EVERY:
+        if best.cause[1] == EVERY and fault is not Fault.DRIFT:
             left = (
                 "no effect" if fault is Fault.DRIVE_LOST else f"{text} of their effect"
             )

@@ -144,7 +144,7 @@ class Discriminator:
         self._schedule = _schedule(self.settings)
         self._pool = CandidatePool(
             self.settings,
-            self._spoilt,
+            self.spoilt,
             [candidate for candidate in candidates if candidate.remembered],
         )
         self._bands = BandHistory(
@@ -641,10 +641,15 @@ class Discriminator:
             return (f"{outside}: these bands may not hold", *lost)
         return lost
 
-    def _spoilt(self, first: int, last: int) -> bool:
-        """Whether the plant was known to be at fault, or another law drove it, between two samples."""
-        return self.monitor.fault_between(first, last) is not None or bool(
-            self._trial_between(first, last)
+    def spoilt(self, first: int, last: int) -> bool:
+        """Whether forecasts between two samples count neither for nor against a twin.
+
+        The plant was at fault then, a sensor lied, or another law drove it, as far as that is known now.
+        """
+        return (
+            self.monitor.fault_between(first, last) is not None
+            or self.monitor.lied_between(first, last)
+            or bool(self._trial_between(first, last))
         )
 
     def _admit(self, trigger: Trigger, report: MatchReport) -> MatchResult:

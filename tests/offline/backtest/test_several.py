@@ -54,6 +54,26 @@ def ends(tested: Backtest, forecaster: str, horizon: float) -> dict[int, float]:
     }
 
 
+def test_forecasts_of_readings_that_lie_count_neither_for_nor_against_a_twin() -> None:
+    """From sample 700 on the second sensor reads 4 °C too much; both outputs are forecast from its readings."""
+    right = heated()
+    readings = right.outputs.copy()
+    readings[700:, 1] += 4.0
+    lying = Window(right.references, readings, right.inputs, period=right.period)
+    terms = Terms(TwinSettings.of(Heaters, law=None, period=2.0))
+    choices = Choices(every=20.0, horizons=(20.0, 100.0))
+    tests = backtest(session(lying, Heaters.name), terms, choices)
+    for tested in tests:
+        assert tested.last is not None
+        assert (tested.last.fault, tested.last.fault_signal) == (
+            "sensor-drift",
+            "second",
+        )
+        newest = max(m.sample + m.horizon / tested.period for m in tested.marked)
+        assert 680 < newest < 700
+        assert any("a sensor lied" in note for note in tested.notes)
+
+
 def test_a_known_plant_is_forecast_to_its_noise() -> None:
     """What is left of white readings of a plant that is known: their noise."""
     terms = Terms(TwinSettings.of(Heaters, law=None, period=2.0))

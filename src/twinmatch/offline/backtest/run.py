@@ -218,9 +218,8 @@ class Listener:
             self.graded[sample] = task
 
     def spoilt(self, first: int, last: int) -> bool:
-        """Whether the monitor found a fault of the plant between two samples."""
-        monitor = self.twin.discriminator.monitor if self.twin else None
-        return monitor is not None and monitor.fault_between(first, last) is not None
+        """Whether the twin itself does not count forecasts between two samples."""
+        return self.twin is not None and self.twin.discriminator.spoilt(first, last)
 
 
 def _outlooks(twin: Twin) -> _Outlooks:
@@ -360,7 +359,8 @@ def graded_outputs(
 ) -> tuple[Backtest, ...]:
     """The scores of all forecasts, output by output.
 
-    Forecasts across a fault of the plant are left out: faults cannot be forecast.
+    Forecasts across a fault of the plant are left out, since faults cannot be forecast, and so are those of
+    readings that lie: the twin itself counts neither.
     """
     listener.finish()
     plant = judgement.settings.plant
@@ -442,7 +442,10 @@ def _notes(
     if unasked:
         yield f"{unasked} of {asked} forecasts could not be made: there was no candidate yet"
     if spoilt:
-        yield f"{spoilt} of {asked} forecasts are left out: the plant had a fault"
+        yield (
+            f"{spoilt} of {asked} forecasts are left out: the plant had a fault, a sensor lied, or a law was "
+            "on trial"
+        )
     answered: dict[int, set[str]] = {}
     for mark in marked:
         answered.setdefault(mark.sample, set()).add(mark.who)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from twinmatch.comparing import REFUSED, number_list
+from twinmatch.dynamics import Drive, Output, Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast
 from twinmatch.offline.backtest import Backtest
@@ -29,10 +30,11 @@ from twinmatch.showing.figures.family import (
 )
 from twinmatch.showing.figures.forecasts import draw_backtest, draw_forecasts
 from twinmatch.showing.figures.session import draw_estimates, draw_health, draw_session
-from twinmatch.showing.forecasts import asked, backtest_words
+from twinmatch.showing.forecasts import backtest_words
 from twinmatch.showing.quantities import shown_inputs, shown_outputs, signal_names
 from twinmatch.showing.series import Fan, fan
 from twinmatch.showing.verdicts import admitted, last_verdict
+from twinmatch.signals import Window
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -203,19 +205,44 @@ def _of_family(j: Judgement, members: Sequence[Member]) -> Iterator[Picture]:
 
 
 def fans_of(tested: Backtest, judgement: Judgement, k: int = 0) -> tuple[Fan, ...]:
-    """The leader's forecasts of the k-th output during which its set-point (or the input) moved most, in
-    order of time."""
+    """The leader's forecasts of the k-th output during which a set-point (or an input) moved most, in order of
+    time."""
     stretches_of_output = [window.alone(k) for window in judgement.stretches]
+    hardest = hardest_forecasts(
+        tested.shown, judgement.stretches, judgement.settings.plant
+    )
+    return tuple(fan(forecast, stretches_of_output) for forecast in hardest)
+
+
+def hardest_forecasts(
+    forecasts: Sequence[Forecast], stretches: Sequence[Window], plant: type[Plant]
+) -> list[Forecast]:
+    """Those forecasts, as many as fit into a figure, during which a signal that they were given moved most.
+
+    Each of several set-points, or inputs, moves every output, so all of them count, in units of their noise.
+    """
 
     def moved(forecast: Forecast) -> float:
-        values = asked(forecast)
-        return float(np.ptp(values)) if values.size else 0.0
+        return _movement_during(forecast, stretches, plant)
 
-    hardest = sorted(tested.shown, key=moved, reverse=True)[:_SHOWN]
-    return tuple(
-        fan(forecast, stretches_of_output)
-        for forecast in sorted(hardest, key=lambda f: f.sample)
-    )
+    hardest = sorted(forecasts, key=moved, reverse=True)[:_SHOWN]
+    return sorted(hardest, key=lambda forecast: forecast.sample)
+
+
+def _movement_during(
+    forecast: Forecast, stretches: Sequence[Window], plant: type[Plant]
+) -> float:
+    """How far a set-point, or an input that was given, moved during a forecast, in units of its noise."""
+    first = forecast.sample + 1
+    whole = next(part for part in stretches if part.first <= first <= part.last)
+    window = whole.part(first, min(whole.last, forecast.sample + forecast.time.size))
+    signals = window.references
+    declared: Sequence[Output | Drive] = [*plant.outputs.values()]
+    if not forecast.closed:
+        signals = window.inputs
+        declared = [*plant.drives.values()]
+    noise = np.array([signal.noise for signal in declared[: signals.shape[1]]])
+    return float((np.ptp(signals, axis=0) / noise).max())
 
 
 def write_pictures(named: dict[str, Picture], folder: Path, ending: str) -> list[Path]:
