@@ -1,8 +1,7 @@
 """Storage of the machine code made from a plant's equations: one file per plant and set of parts.
 
 Its name carries a hash of everything it is made from: the sources of plant and compiler, the versions of the
-libraries involved, and the processor. So any change gives a new file, and an outdated one is never run. The
-folder is `$TWINMATCH_CACHE`, or `twinmatch` in the user's cache folder.
+libraries involved, and the processor. So any change gives a new file, and an outdated one is never run.
 """
 
 from __future__ import annotations
@@ -29,6 +28,7 @@ from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.definition import PlantDefinition
 from twinmatch.dynamics.equations import Derived, derive
 from twinmatch.dynamics.machine import FUNCTIONS, compiled_object, host, linked
+from twinmatch.kept import cache_folder
 
 _HERE = Path(__file__).parent
 _COMPILER = (
@@ -99,15 +99,6 @@ class Kernels:
     if TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any: ...
-
-
-def cache_folder() -> Path:
-    """Where machine code is kept."""
-    chosen = os.environ.get("TWINMATCH_CACHE")
-    if chosen:
-        return Path(chosen)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "twinmatch"
 
 
 def kernels_of(

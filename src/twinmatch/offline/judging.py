@@ -21,9 +21,9 @@ from twinmatch.dynamics import (
     commands_of,
     simulate_closed_loop,
 )
-from twinmatch.dynamics.store import cache_folder
 from twinmatch.errors import TwinmatchError
 from twinmatch.health import EstimatedReading
+from twinmatch.kept import cache_folder
 from twinmatch.offline.estimates import EstimatedCourse, courses_of
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.offline.summary import SessionSummary, summarise
