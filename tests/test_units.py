@@ -2,9 +2,51 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
 from twinmatch.units import is_readable, is_unit, measure
+
+ASKING = """
+import sys
+from twinmatch.units import conversion, measure
+print([measure(unit) for unit in ("W/(m² K)", "°C", "PWM", "%", "kg m^2 s^-3", "K^(1/2)")])
+print([conversion(*pair) for pair in (("°F", "°C"), ("mbar", "Pa"), ("ms", "s"))])
+print("pint" in sys.modules)
+"""
+
+
+def asked(cache: Path) -> list[str]:
+    """What a new process answers, line by line; it keeps answers in this folder."""
+    environment = {**os.environ, "TWINMATCH_CACHE": str(cache)}
+    command = [sys.executable, "-c", ASKING]
+    return subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+
+
+def test_a_second_process_answers_alike_without_the_library(tmp_path: Path) -> None:
+    *answers, first_imports = asked(tmp_path)
+    *again, second_imports = asked(tmp_path)
+    assert again == answers
+    assert (first_imports, second_imports) == ("True", "False")
+
+
+def test_answers_that_were_cut_off_or_cannot_be_kept_are_made_again(
+    tmp_path: Path,
+) -> None:
+    *answers, _ = asked(tmp_path)
+    [file] = tmp_path.glob("units-*.jsonl")
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2] + b"\n\xff")
+    assert asked(tmp_path) == [*answers, "True"]
+    in_the_way = tmp_path / "file"
+    in_the_way.touch()
+    assert asked(in_the_way) == [*answers, "True"]
 
 
 @pytest.mark.parametrize(

@@ -1,16 +1,21 @@
 """Units in common notations: conversion between them, and the quantity that a unit measures.
 
-An unknown unit (`PWM`, `steps`) counts as a plain number.
+An unknown unit (`PWM`, `steps`) counts as a plain number. To import pint and have it read its definitions
+takes longer than to start a command, so its answers are kept for the commands to come.
 """
 
 from __future__ import annotations
 
+import importlib.metadata
 import math
 import re
+import sys
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.kept import KeptAnswers
 
 if TYPE_CHECKING:
     import pint
@@ -155,9 +160,24 @@ def measure(unit: str) -> Measure:
     """The quantity that a unit measures; `W/(m² K)`, `kg m^2`, `°C` and `%` are understood."""
     if not is_readable(unit):
         return Measure(known=False)
+    plain = _plain(unit)
+    kept = _kept_answers().get((plain,))
+    if kept is not None:
+        powers, factor, is_known, has_offset = kept
+        dimension = tuple((name, power) for name, power in powers)
+        return Measure(dimension, factor, is_known, has_offset)
+    computed = _measured(plain)
+    _kept_answers().keep((plain,), computed)
+    return computed
+
+
+def _measured(plain: str) -> Measure:
+    """The quantity that a unit, as pint writes it, measures."""
+    # Outside: an installation that lacks it knows no unit only for now.
+    registry = _registry()
     try:
-        parsed: Any = _registry().parse_units(_plain(unit))
-        base = _registry().Quantity(1.0, parsed)
+        parsed: Any = registry.parse_units(plain)
+        base = registry.Quantity(1.0, parsed)
         powers = tuple(
             sorted((str(n), float(p)) for n, p in parsed.dimensionality.items())
         )
@@ -186,11 +206,18 @@ def conversion(unit: str, wanted: str) -> Conversion:
         raise UnitError(
             f"{unit or 'a plain number'} cannot be converted to {wanted or 'a plain number'}"
         )
+    pair = (_plain(unit), _plain(wanted))
+    kept = _kept_answers().get(pair)
+    if kept is None:
+        kept = _converted(*pair)
+        _kept_answers().keep(pair, kept)
+    return Conversion(*kept)
+
+
+def _converted(plain: str, wanted: str) -> Conversion:
+    """Conversion between two units of the same quantity, as pint writes them."""
     quantity = _registry().Quantity
-    low, high = (
-        _float(quantity(x, _plain(unit)).to(_plain(wanted)).magnitude)
-        for x in (0.0, _FAR)
-    )
+    low, high = (_float(quantity(x, plain).to(wanted).magnitude) for x in (0.0, _FAR))
     return Conversion((high - low) / _FAR if low else high / _FAR, low)
 
 
@@ -204,6 +231,14 @@ def _plain(unit: str) -> str:
     for form, written in _FORMS:
         text = form.sub(written, text)
     return text
+
+
+@lru_cache(maxsize=1)
+def _kept_answers() -> KeptAnswers:
+    """What pint has answered to this module: to one unit its measure, to two the conversion."""
+    version = importlib.metadata.version("pint")
+    source = Path(__file__).read_text(encoding="utf-8")
+    return KeptAnswers("units", f"{sys.version_info[:2]} {version} {source}")
 
 
 @lru_cache(maxsize=1)

@@ -17,9 +17,9 @@ from twinmatch_camera.emulation import PLATE
 from tests.support.processes import Process, Processes
 from tests.support.waiting import PATIENCE
 from twinmatch.dynamics import Controller as Law
-from twinmatch.dynamics.store import cache_folder
 from twinmatch.emulation.clock import ClockClient, parse_address
 from twinmatch.emulation.faults import tell
+from twinmatch.kept import cache_folder
 from twinmatch.links.pwm_link import PwmLatchedError, PwmLink, PwmLinkError
 from twinmatch.links.thermal_client import ThermalClient, region
 from twinmatch.plants import Peltier

@@ -18,6 +18,7 @@ from twinmatch.comparing import Candidate, CandidateScore, OrderScore, Verdict, 
 from twinmatch.comparing.criteria import Criteria
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import Band, Forecast
+from twinmatch.offline.judging import Judgement, judge_samples
 from twinmatch.offline.summary import summarise
 from twinmatch.plants import PLANTS, Peltier, TCLabBoth
 from twinmatch.sessions import samples_of
@@ -49,7 +50,7 @@ from twinmatch.showing.style import (
 )
 from twinmatch.showing.summary import document, sentence
 from twinmatch.signals import KELVIN, Sample, Window, stretches
-from twinmatch.twin import MatchReport, Twin, TwinSettings, filled_stretches
+from twinmatch.twin import MatchReport, TwinSettings, filled_stretches
 
 
 @pytest.mark.parametrize("plant", PLANTS.values(), ids=str)
@@ -257,12 +258,13 @@ Judged = tuple[list[MatchReport], list[Verdict]]
 
 
 @pytest.fixture(scope="module")
-def judged(samples: list[Sample]) -> Judged:
-    twin = Twin(TwinSettings(), [GIVEN])
-    outcomes = [twin.push(sample) for sample in samples]
-    return [o.match for o in outcomes if o.match], [
-        v for o in outcomes for v in o.verdicts
-    ]
+def judgement(samples: list[Sample]) -> Judgement:
+    return judge_samples("s", samples, TwinSettings(), initial_candidates=[GIVEN])
+
+
+@pytest.fixture(scope="module")
+def judged(judgement: Judgement) -> Judged:
+    return list(judgement.matches), list(judgement.verdicts)
 
 
 @pytest.fixture(scope="module")
@@ -288,6 +290,28 @@ def test_matched_and_given_candidates_have_their_window_and_their_own_models(
             o.total.gain for o in member.score.orders
         ]
         assert [s.u.bic for s in scores] == [o.u.bic for o in member.score.orders]
+
+
+def test_the_models_of_the_discriminator_are_those_that_are_found_again(
+    members: tuple[Member, ...], judgement: Judgement, judged: Judged
+) -> None:
+    matches, verdicts = judged
+    handed_over = family(
+        judgement.samples, matches, verdicts[-1], TwinSettings(), judgement.models
+    )
+    for member, again in zip(handed_over, members, strict=True):
+        assert member.known_models
+        assert not again.known_models
+        for model, model_again in zip(member.models, again.models, strict=True):
+            assert model.order == model_again.order
+            for name in "BCDF":
+                for output in ("y", "u"):
+                    coefficients = getattr(getattr(model, output), name)
+                    expected = getattr(getattr(model_again, output), name)
+                    assert coefficients.tobytes() == expected.tobytes()
+        order = member.score.chosen_order
+        simulated = member.simulated(order)
+        assert simulated.outputs.tobytes() == again.simulated(order).outputs.tobytes()
 
 
 def test_matches_go_into_the_json_with_what_is_known_of_them(

@@ -10,7 +10,7 @@ from multiprocessing.process import BaseProcess
 from twinmatch.cli.shared import Progress
 from twinmatch.dynamics import Plant
 from twinmatch.dynamics.prepare import prepare
-from twinmatch.dynamics.store import cache_folder
+from twinmatch.kept import cache_folder
 from twinmatch.offline.processes import end_with_parent
 from twinmatch.plants import PLANTS, find_plant
 

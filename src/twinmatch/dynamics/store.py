@@ -3,8 +3,7 @@
 Its name carries a hash of everything it is made from: the sources of plant and compiler, the versions of the
 libraries involved, and the processor. So any change gives a new file, and an outdated one is never run. A
 second file has the derived equations in its name instead of the plant's sources: a change of a default, a
-bound or a comment takes that one, and nothing is compiled. The folder is `$TWINMATCH_CACHE`, or `twinmatch`
-in the user's cache folder.
+bound or a comment takes that one, and nothing is compiled.
 """
 
 from __future__ import annotations
@@ -31,6 +30,7 @@ from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.definition import PlantDefinition
 from twinmatch.dynamics.equations import Derived, derive
 from twinmatch.dynamics.machine import FUNCTIONS, compiled_object, host, linked
+from twinmatch.kept import cache_folder
 
 _HERE = Path(__file__).parent
 _COMPILER = (
@@ -101,15 +101,6 @@ class Kernels:
     if TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any: ...
-
-
-def cache_folder() -> Path:
-    """Where machine code is kept."""
-    chosen = os.environ.get("TWINMATCH_CACHE")
-    if chosen:
-        return Path(chosen)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "twinmatch"
 
 
 def kernels_of(

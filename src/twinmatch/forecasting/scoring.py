@@ -29,6 +29,7 @@ Mariano 1995); of forecasts that overlap, only the part that the one before did 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
@@ -88,6 +89,8 @@ class Calibration:
             outputs: number of outputs among the signals, which come first.
         """
         self._is_output = np.arange(signals) < outputs
+        self._outputs = range(min(outputs, signals))
+        """Indices of the outputs among the signals."""
         self.leads = leads
         self._kept = kept
         self._recent = recent
@@ -130,15 +133,25 @@ class Calibration:
         size = quotients.shape[1]
         reached = [k for k, lead in enumerate(self.leads) if before < lead <= size]
         at_reached = quotients[:, [self.leads[k] - 1 for k in reached]]
-        is_read = ~np.isnan(at_reached[0])
-        learned = [k for k, read in zip(reached, is_read.tolist(), strict=True) if read]
-        if not learned:
+        is_read = [not math.isnan(quotient) for quotient in at_reached[0].tolist()]
+        if all(is_read):
+            self._learn_at(reached, at_reached, widths)
             return
-        at_leads = at_reached[:, is_read]
-        is_inside = at_leads <= widths[:, learned]
-        self._inside[:, learned] = self._kept * self._inside[:, learned] + is_inside
-        self._compared[learned] = self._kept * self._compared[learned] + 1.0
-        self.add(learned, at_leads)
+        read = [
+            k for k, has_reading in zip(reached, is_read, strict=True) if has_reading
+        ]
+        if read:
+            self._learn_at(read, at_reached[:, is_read], widths)
+
+    def _learn_at(
+        self, leads: list[int], quotients: FloatArray, widths: FloatArray
+    ) -> None:
+        """Learn from the quotients at n leads, given by index; shape (signals, n)."""
+        places = _places(leads)
+        is_inside = quotients <= widths[:, places]
+        self._inside[:, places] = self._kept * self._inside[:, places] + is_inside
+        self._compared[places] = self._kept * self._compared[places] + 1.0
+        self.add(leads, quotients)
 
     def coverage(
         self, before: int, last: int, signal: int | None = None
@@ -162,7 +175,8 @@ class Calibration:
 
     def add(self, leads: Sequence[int], quotients: FloatArray) -> None:
         """Learn the signals' quotients of one forecast at n leads, given by index; shape (signals, n)."""
-        scaled = quotients / self._scales[:, leads]
+        places = _places(leads)
+        scaled = quotients / self._scales[:, places]
         for k, lead in enumerate(leads):
             size = self._end[lead] - self._first[lead]
             if self._end[lead] == self._quotients.shape[2]:
@@ -176,11 +190,11 @@ class Calibration:
             weight_of_oldest = self._weights[min(size, self._learned[lead])]
             if weight_of_oldest < _NEGLIGIBLE:
                 self._first[lead] += 1
-        self._sums[:, leads] = (
-            self._recent * self._sums[:, leads] + self._uncovered[leads] * quotients
+        self._sums[:, places] = (
+            self._recent * self._sums[:, places] + self._uncovered[places] * quotients
         )
-        self._counts[leads] = (
-            self._recent * self._counts[leads] + self._uncovered[leads]
+        self._counts[places] = (
+            self._recent * self._counts[places] + self._uncovered[places]
         )
         self._stale.update(leads)
 
@@ -202,8 +216,18 @@ class Calibration:
         """Half width of a band in standard deviations, at every lead, shape (signals, L)."""
         if self._stale:
             weights_by_age = np.array(self._weights)
+            # Leads up to the same horizon have learned as much.
+            weights_of: dict[tuple[int, int], FloatArray] = {}
             for lead in self._stale:
-                self._quantiles[:, lead] = self._quantile(lead, weights_by_age)
+                size = self._end[lead] - self._first[lead]
+                learned = self._learned[lead]
+                weights = weights_of.get((size, learned))
+                if weights is None:
+                    ages = np.arange(size - 1, -1, -1)
+                    # Those of the prior are as old as the first that was learned.
+                    weights = weights_by_age[np.minimum(ages, learned)]
+                    weights_of[size, learned] = weights
+                self._quantiles[:, lead] = self._quantile(lead, weights)
             self._stale.clear()
         return self._quantiles * self._scales
 
@@ -218,7 +242,7 @@ class Calibration:
         shares = _TRUSTED / (_TRUSTED + self._counts)
         of_errors = self._sums / (_MEAN * (_TRUSTED + self._counts))
         scales = shares + of_errors
-        for signal in np.flatnonzero(self._is_output):
+        for signal in self._outputs:
             scale = 1.0
             scales_of_output = []
             for share, of_error in zip(
@@ -229,17 +253,14 @@ class Calibration:
             scales[signal] = scales_of_output
         return scales
 
-    def _quantile(self, lead: int, weights_by_age: FloatArray) -> list[float]:
-        """The weighted quantile of the quotients of each signal that a band has to hold.
+    def _quantile(self, lead: int, weights: FloatArray) -> list[float]:
+        """The quantile of the quotients, with these weights, of each signal that a band has to hold.
 
         Signal by signal: of so few quotients, arrays of one row are sorted in a third of the time.
         """
         quotients = self._quotients[lead, :, self._first[lead] : self._end[lead]]
         size = quotients.shape[1]
-        ages = np.arange(size - 1, -1, -1)
-        # Those of the prior are as old as the first that was learned.
-        weights = weights_by_age[np.minimum(ages, self._learned[lead])]
-        weight_of_all = weights.sum()
+        weight_of_all = np.add.reduce(weights)
         quantiles = []
         for of_signal, is_output in zip(quotients, self._is_output, strict=True):
             # The next forecast counts as one more, with an unknown quotient: at long leads as more than one,
@@ -250,6 +271,14 @@ class Calibration:
             rank = min(int(share.searchsorted(CONFIDENCE)), size - 1)
             quantiles.append(float(of_signal[order[rank]]))
         return quantiles
+
+
+def _places(leads: Sequence[int]) -> slice | list[int]:
+    """Ascending indices as a slice, by which arrays are read and written in a third of the time, if none is
+    left out between them."""
+    if leads and leads[-1] - leads[0] == len(leads) - 1:
+        return slice(leads[0], leads[-1] + 1)
+    return list(leads)
 
 
 _LN10: Final = float(np.log(10.0))

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics import (
@@ -153,7 +154,7 @@ def _outputs_under(  # noqa: PLR0917
     inputs: FloatArray,
     levels: FloatArray,
     d: FloatArray,
-    later: int,
+    later: NDArray[np.int64],
     resting: FloatArray,
     usual: FloatArray,
     period: float,
@@ -161,9 +162,10 @@ def _outputs_under(  # noqa: PLR0917
     instant: bool,
 ) -> FloatArray:
     """The output at the beginning, after all n samples and after `later` more, under inputs, shape (n + 1,),
-    and, instead, at each of some levels; shape (1 + levels, 3). The last but one input is held on, as are the
-    last disturbances, shape (n, nd). The output is read as `dynamics.read` does; an `instant` one shows the
-    last input at the end and, at other levels, the first: estimated states suit that."""
+    and, instead, at each of some levels; shape (1 + levels, 3). `later` has a value for each of these, shape
+    (1 + levels,). The last but one input is held on, as are the last disturbances, shape (n, nd). The output
+    is read as `dynamics.read` does; an `instant` one shows the last input at the end and, at other levels,
+    the first: estimated states suit that."""
     work = work_for(code, vector)
     outputs = np.empty((1 + levels.size, 3))
     n = inputs.size - 1
@@ -172,8 +174,9 @@ def _outputs_under(  # noqa: PLR0917
     read = resting.copy()
     for k in range(1 + levels.size):
         states = x.copy()
-        for i in range(n + later + 1):
-            for place, wanted in enumerate((0, n, n + later)):
+        last = n + later[k]
+        for i in range(last + 1):
+            for place, wanted in enumerate((0, n, last)):
                 if i == wanted:
                     if instant:
                         read[0] = inputs[min(i, n) if k == 0 else 0]
@@ -182,7 +185,7 @@ def _outputs_under(  # noqa: PLR0917
                         code[OUTPUTS], states, read, usual, work.p, work.b, work.outputs
                     )
                     outputs[k, place] = work.outputs[0]
-            if i < n + later:
+            if i < last:
                 place_of_input = min(i, n - 1)
                 u[0] = inputs[place_of_input] if k == 0 else levels[k - 1]
                 for m in range(row.size):
@@ -208,10 +211,11 @@ class SimulatedSpan:
         input at which the drive stood; `period` in s; `later`: for how many samples they are held on."""
         self.first = first
         self._given = (inputs, rows)
-        self._then = (later, period)
-        levels = first.parameters.model.rest[0], before
+        self._period = period
+        # What the drive at rest leads to is asked at the end of the last sample only.
+        levels = (first.parameters.model.rest[0], before)
         (begun, self.driven, held_on), (_, resting, _), (_, _, stood) = self._outputs(
-            first.parameters, *levels
+            first.parameters, levels, (later, 0, later)
         )
         """The output when the last sample ends, under the recorded inputs."""
         self.moved = self.driven - begun
@@ -234,13 +238,16 @@ class SimulatedSpan:
                 room = twin.replace(
                     **{name: max(twin[name] - change * parameter.scale, lowest)}
                 )
-                moved = max(moved, abs(self._outputs(room)[0][1] - self.driven))
+                moved = max(
+                    moved, abs(self._outputs(room, (), (0,))[0][1] - self.driven)
+                )
         return moved
 
-    def _outputs(self, twin: Parameters, *levels: float) -> list[list[float]]:
+    def _outputs(
+        self, twin: Parameters, levels: tuple[float, ...], later: tuple[int, ...]
+    ) -> list[list[float]]:
         model = twin.model
         inputs, rows = self._given
-        later, period = self._then
         outputs = model.kernels.call(
             _outputs_under,
             twin.vector,
@@ -248,11 +255,11 @@ class SimulatedSpan:
             inputs,
             np.array(levels),
             rows,
-            later,
+            np.array(later),
             model.rest,
             model.disturbances,
-            period,
-            twin.steps(period),
+            self._period,
+            twin.steps(self._period),
             model.instant,
         )
         return cast("list[list[float]]", outputs.tolist())

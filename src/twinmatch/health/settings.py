@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
 from twinmatch.dynamics import Parameters, Plant
@@ -82,7 +83,7 @@ class HealthSettings:
     """After a gap too: only suspicions are reported then. Cameras that deliver their first pictures late are
     common and recover without help."""
 
-    @property
+    @cached_property
     def pace(self) -> float:
         """Sample time, s, in the time of a plant as fast as the rig: fixed limits in seconds refer to it."""
         return self.period / slow_scale(self.reference.model.plant, self.period)

@@ -22,8 +22,8 @@ from collections.abc import Iterator, Mapping, MutableMapping
 from enum import Enum
 from pathlib import Path
 
-from twinmatch.dynamics.store import cache_folder
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.kept import cache_folder
 
 VARIABLE = "TWINMATCH_NETWORK"
 """Environment variable whose value is that of a `Network`."""

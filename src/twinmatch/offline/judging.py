@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final, NamedTuple
@@ -21,9 +21,9 @@ from twinmatch.dynamics import (
     commands_of,
     simulate_closed_loop,
 )
-from twinmatch.dynamics.store import cache_folder
 from twinmatch.errors import TwinmatchError
 from twinmatch.health import EstimatedReading
+from twinmatch.kept import cache_folder
 from twinmatch.offline.estimates import EstimatedCourse, courses_of
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.offline.summary import SessionSummary, summarise
@@ -39,7 +39,7 @@ from twinmatch.sessions import Session, samples_of
 from twinmatch.sessions.cdr import decoded
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.signals import Sample, Window, rms, stretches
-from twinmatch.twin import MatchReport, Outcome, Twin, TwinSettings
+from twinmatch.twin import FamilyModels, MatchReport, Outcome, Twin, TwinSettings
 
 SAMPLE = "plant/sample"
 
@@ -222,6 +222,8 @@ class Judgement:
     """Stamps of the samples and stand-ins, ns, by index."""
     estimates: tuple[EstimatedCourse, ...] = ()
     """What sensors should have read that were not believed."""
+    models: FamilyModels = field(default_factory=dict)
+    """Box–Jenkins models of the twins of the family at the end."""
 
 
 def judge(
@@ -308,6 +310,7 @@ def judge_samples(
         without_gaps,
         stamps,
         courses,
+        twin.discriminator.models,
     )
 
 

@@ -1,7 +1,7 @@
 """The family of a verdict: its candidates with windows, matches and models, and the table of their criteria.
 
-A verdict carries figures, not models. The models are identified here again, in the same way and with the same
-seed as in the discriminator, so they are the same to the last bit.
+A verdict carries figures, not models. Those that the discriminator had at the end are handed over; others are
+identified again, in the same way and with the same seed, so they are the same to the last bit.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from twinmatch.comparing import (
@@ -34,7 +35,7 @@ from twinmatch.showing.quantities import (
     with_unit,
 )
 from twinmatch.signals import Sample, Window, unbroken
-from twinmatch.twin import MatchReport, TwinSettings, response_on
+from twinmatch.twin import FamilyModels, MatchReport, TwinSettings, response_on
 from twinmatch.twin.matcher import one_thread
 
 
@@ -49,6 +50,8 @@ class Member:
     window: Window
     """Measured samples it was judged on: those it was matched on, otherwise the first excited window."""
     settings: TwinSettings
+    known_models: tuple[SimoModel, ...] = ()
+    """Box–Jenkins models as the discriminator has identified them; empty: they have to be identified again."""
 
     @cached_property
     def response(self) -> Window:
@@ -62,7 +65,7 @@ class Member:
     @cached_property
     def models(self) -> tuple[SimoModel, ...]:
         """Box–Jenkins models of that response, one per order."""
-        return self._identified(ORDERS)
+        return self.known_models or self._identified(ORDERS)
 
     def _identified(self, orders: Sequence[str]) -> tuple[SimoModel, ...]:
         with one_thread():
@@ -101,7 +104,9 @@ class Member:
 
         The model is reached through the lower orders, as in the discriminator; higher ones take longest.
         """
-        model = self._identified(ORDERS[: ORDERS.index(order) + 1])[-1]
+        up_to_order = ORDERS.index(order) + 1
+        lower_models = self.known_models or self._identified(ORDERS[:up_to_order])
+        model = lower_models[up_to_order - 1]
         of_y = model.y
         of_u = model.u
         measured = self.measured
@@ -124,10 +129,12 @@ def family(
     matches: Sequence[MatchReport],
     verdict: Verdict | None,
     settings: TwinSettings,
+    models: FamilyModels = MappingProxyType({}),
 ) -> tuple[Member, ...]:
     """The members of a verdict's family, in its order; empty without a verdict.
 
-    Candidates whose window is not among the samples are left out, as the recording started after it.
+    `models` are those of the discriminator. Candidates whose window is not among the samples are left out, as
+    the recording started after it.
     """
     if verdict is None:
         return ()
@@ -138,8 +145,10 @@ def family(
         window = _window_of(score, matches, samples, settings.period)
         if window is not None:
             match = accepted.get((score.first, score.last))
+            is_nominal = score.name == verdict.nominal
+            known_models = models.get((score.name, score.first, score.last), ())
             members.append(
-                Member(score, score.name == verdict.nominal, match, window, settings)
+                Member(score, is_nominal, match, window, settings, known_models)
             )
     return tuple(members)
 

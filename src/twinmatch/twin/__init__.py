@@ -8,6 +8,7 @@ pushed: no clock, no thread, no random state, so a replay of a recorded session 
 verdicts.
 """
 
+from twinmatch.twin.candidates import FamilyModels
 from twinmatch.twin.door import Door, filled_stretches
 from twinmatch.twin.engine import Discriminator, Outcome, Step, Twin
 from twinmatch.twin.forecaster import Forecaster, Snapshot
@@ -34,6 +35,7 @@ from twinmatch.twin.structures import StructureScore, choose_structure
 __all__ = [
     "Discriminator",
     "Door",
+    "FamilyModels",
     "Fits",
     "ForecastSettings",
     "Forecaster",

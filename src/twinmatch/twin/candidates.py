@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -64,6 +64,11 @@ class _Member:
     models: dict[str, SimoModel]
     orders: tuple[OrderScore, ...]
     chosen_order: str
+
+
+FamilyModels = Mapping[tuple[str, int, int], tuple[SimoModel, ...]]
+"""Box–Jenkins models of the twins of a family, one per order, by name of the candidate and by first and last
+sample of its score."""
 
 
 class _NewestWindow(NamedTuple):
@@ -145,6 +150,16 @@ class CandidatePool:
         """The nominal match of the newest scores."""
         name = None if self.scores is None else self.scores.nominal
         return None if name is None else self._members[name].candidate
+
+    @property
+    def models(self) -> FamilyModels:
+        """Box–Jenkins models of the twins of the family."""
+        models = {}
+        for name, member in self._members.items():
+            if member.models:
+                key = (name, *_samples_of(member))
+                models[key] = tuple(member.models.values())
+        return models
 
     def incumbent_at(self, operating_point: OperatingPoint) -> Candidate | None:
         """The match whose regime contains this operating point, if any."""
@@ -332,10 +347,8 @@ class CandidatePool:
         scores = tuple(
             replace(
                 bare_scores[k],
-                first=member.window.first,
-                last=member.window.last
-                if member.candidate.window
-                else member.window.first - 1,
+                first=_samples_of(member)[0],
+                last=_samples_of(member)[1],
                 orders=member.orders,
                 chosen_order=member.chosen_order,
             )
@@ -408,6 +421,14 @@ class CandidatePool:
         return tuple(
             sorted(points | {point_of(lowest), point_of(highest)}, key=point_values)
         )
+
+
+def _samples_of(member: _Member) -> tuple[int, int]:
+    """First and last sample to which a member of the family was fitted; of a given one the last is before the
+    first, where its window begins."""
+    window = member.window
+    last = window.last if member.candidate.window else window.first - 1
+    return window.first, last
 
 
 def _bare_score(

@@ -22,7 +22,7 @@ from twinmatch.fitting.match import not_determined
 from twinmatch.health import SLOW, Alarm, EstimatedReading, Health, HealthState, Monitor
 from twinmatch.safety.stand_in import LASTING
 from twinmatch.signals import FloatArray, Sample, Signals, Window
-from twinmatch.twin.candidates import CandidatePool, name_at
+from twinmatch.twin.candidates import CandidatePool, FamilyModels, name_at
 from twinmatch.twin.door import Door
 from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.knowledge import Knowledge, MatchResult, no_verdict, verdict_of
@@ -208,6 +208,11 @@ class Discriminator:
     def nominal(self) -> Candidate | None:
         """The current nominal candidate."""
         return self._pool.nominal
+
+    @property
+    def models(self) -> FamilyModels:
+        """Box–Jenkins models of the twins of the current family."""
+        return self._pool.models
 
     def push_sample(self, sample: Sample) -> Step:
         """Take one sample; return the verdicts now due, and the match to request.

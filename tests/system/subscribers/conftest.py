@@ -17,7 +17,7 @@ pytest.importorskip(
 
 from tests.support.places import PROJECT
 from tests.support.processes import Process, Processes
-from twinmatch.dynamics.store import cache_folder
+from twinmatch.kept import cache_folder
 from twinmatch.sessions import read_session, write_session
 
 HERE = Path(__file__).resolve().parent

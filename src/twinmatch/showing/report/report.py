@@ -465,7 +465,9 @@ def build_report(
     judgement = judged.judgement
     last = last_verdict(judgement.verdicts)
     settings = judgement.settings
-    members = family(judgement.samples, judgement.matches, last, settings)
+    members = family(
+        judgement.samples, judgement.matches, last, settings, judgement.models
+    )
     drawn = pictures(judgement, members, judged.tests, work or Beside())
     made = made or datetime.now().astimezone()
     return SessionReport(
