@@ -26,6 +26,7 @@ from tests.support.places import (
     TESTS,
     remove_temporary_folders,
 )
+from tests.support.shared_memory import remove_ports, remove_segments
 from twinmatch.cli.shared import Progress
 from twinmatch.fmu import is_fmu
 from twinmatch.plants import PLANTS
@@ -221,6 +222,8 @@ def ros_domain() -> Iterator[int]:
                 continue
             os.environ["ROS_DOMAIN_ID"] = str(domain)
             yield domain
+            remove_ports(domain)
+            remove_segments()
             return
     pytest.fail(f"all ROS domains are taken by other test runs; see {folder}")
 

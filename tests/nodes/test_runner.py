@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,13 @@ import pytest
 from rclpy.context import Context
 
 from tests.support.processes import Start
+from tests.support.shared_memory import (
+    BEGINS,
+    FOLDER,
+    ports_of,
+    remove_ports,
+    remove_segments,
+)
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.network import PROFILES, sockets_elsewhere
 from twinmatch.nodes.node import TwinmatchNode
@@ -78,6 +86,33 @@ def test_signal_ends_with_zero_and_leaves_nothing(
     assert sockets_elsewhere(process.id) == []
     assert process.end(number) == 0
     assert not [name for name in files if Path(name).exists()]
+
+
+def test_after_a_run_nothing_is_left_of_a_killed_node_and_a_running_one_keeps_its_files(
+    start_script: Start, ros_domain: int
+) -> None:
+    """What the tests do at their end."""
+    killed = start_script(program())
+    killed.said("^up$")
+    left = [Path(name) for name in shared_memory(killed.id)]
+    killed.kill()
+    node = start_script(program())
+    node.said("^up$")
+    kept = [Path(name) for name in shared_memory(node.id)]
+    for segment in (*left, *kept):
+        long_ago = time.time() - 2 * BEGINS
+        os.utime(segment.with_name(f"{segment.name}_el"), (long_ago, long_ago))
+    remove_segments()
+    assert left
+    assert not [path for path in left if path.exists()]
+    assert kept
+    assert all(path.exists() for path in kept)
+    assert node.end() == 0
+    ports = ports_of(ros_domain)
+    for name in (f"fastrtps_port{ports[-1]}", f"sem.fastrtps_port{ports[-1]}_mutex"):
+        (FOLDER / name).touch()
+    remove_ports(ros_domain)
+    assert not list(FOLDER.glob(f"*fastrtps_port{ports[-1]}*"))
 
 
 @pytest.mark.parametrize("how", ["ended", "killed"])

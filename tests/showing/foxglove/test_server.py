@@ -7,15 +7,17 @@ import json
 import re
 import socket
 import struct
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from twinmatch.showing.foxglove.node import BACKLOG, GraphServer, StreamTime
-from twinmatch.showing.foxglove.relay import MAX_TOLD, hidden_address
+from twinmatch.showing.foxglove.relay import MAX_TOLD, Relay, hidden_address
 from twinmatch.showing.serving import Hosts, ServingError
 
 pytest.importorskip(
@@ -25,7 +27,9 @@ pytest.importorskip(
 from tests.showing.foxglove.conftest import PROTOCOL
 from tests.support.odd_requests import odd_requests
 from tests.support.places import PROJECT
+from tests.support.processes import Processes
 from tests.support.sockets import UPGRADE, ask, exchange
+from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.plants import Peltier, TCLabBoth
 from twinmatch.plants.records import description_of
 from twinmatch.showing.foxglove.layout import APPLIED, IMAGE, OUTSIDE, TOPICS, layout
@@ -93,6 +97,84 @@ def test_a_late_subscriber_is_given_the_newest_message_and_no_other_is(
     third.wait(lambda: server.viewers == 3, "the subscription")
     third.read_for(0.3)
     assert not third.messages
+
+
+SLOW_SERVER = """
+import os, threading, time
+from twinmatch.showing.foxglove.node import GraphServer
+
+class Counting(GraphServer):
+    count = 0
+
+    def on_subscribe(self, client, channel):
+        self.count += 1
+
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+server = Counting("rig", "127.0.0.1", 0)
+os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
+print(f"server: {server.url}", flush=True)
+server.advertise("/first", "std_msgs/msg/Float64", "float64 data")
+while not server.count:
+    time.sleep(0.01)
+for number in range(60):
+    server.advertise(f"/{number}", "std_msgs/msg/Float64", "float64 data")
+    time.sleep(0.01)
+while server.count < 61:
+    time.sleep(0.01)
+print("all subscribed", flush=True)
+time.sleep(1000)
+"""
+"""It has one processor, and its thread that advertises steps back for all others."""
+
+QUICK_VIEWER = """
+import json, sys
+from websockets.sync.client import connect
+
+with connect(sys.argv[1], subprotocols=["foxglove.sdk.v1"]) as socket:
+    for frame in socket:
+        message = json.loads(frame) if isinstance(frame, str) else {}
+        for channel in message.get("channels", []):
+            wanted = {"id": channel["id"], "channelId": channel["id"]}
+            socket.send(json.dumps({"op": "subscribe", "subscriptions": [wanted]}))
+        if message.get("op") == "status":
+            print("refused", message["message"], flush=True)
+"""
+"""A viewer that subscribes to whatever is advertised, at once."""
+
+
+def test_a_viewer_that_subscribes_at_once_is_not_refused(tmp_path: Path) -> None:
+    """One topic in five was refused as unknown here while viewers heard of it before it was there."""
+    processes = Processes(tmp_path)
+    server = processes.start(sys.executable, "-c", SLOW_SERVER)
+    viewer = processes.start(sys.executable, "-c", QUICK_VIEWER, server.url)
+    wait_for(
+        lambda: "refused" in viewer.text or "all subscribed" in server.text,
+        lambda: f"subscriptions: {server.text} {viewer.text}",
+    )
+    processes.dismiss()
+    assert viewer.text == ""
+
+
+def test_what_is_held_back_reaches_the_viewers_afterwards() -> None:
+    bound = socket.create_server(("127.0.0.1", 0))
+    address = bound.getsockname()
+    with socket.create_server(("127.0.0.1", 0)) as inner:
+        relay = Relay(bound, Hosts.of("127.0.0.1"), inner.getsockname())
+        with socket.create_connection(address) as viewer:
+            viewer.sendall(
+                f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{address[1]}\r\n\r\n".encode()
+            )
+            behind, _ = inner.accept()
+            viewer.settimeout(0.3)
+            with behind:
+                assert behind.recv(1 << 14).startswith(b"GET /")
+                with relay.holding_back():
+                    behind.sendall(b"news")
+                    with pytest.raises(TimeoutError):
+                        viewer.recv(4)
+                viewer.settimeout(PATIENCE)
+                assert viewer.recv(4) == b"news"
+        assert relay.close()
 
 
 def test_another_kind_of_time_is_another_session_that_begins_with_what_was_said_last(

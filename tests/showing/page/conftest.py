@@ -54,6 +54,23 @@ def page_process(
     ), ended
 
 
+@pytest.fixture(scope="session")
+def commanding(
+    ros: None,  # noqa: ARG001
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[Process]:
+    """A page that may command the rig, for the tests that open it, one module after the other; the last of
+    them ends it."""
+    processes = Processes(tmp_path_factory.mktemp("commanding"))
+    yield processes.python(
+        "-m", "twinmatch.cli", "dashboard", "--port", "0", "--control"
+    )
+    ended = processes.end()
+    assert all(
+        Process.well(code) and "Traceback" not in text for code, text in ended
+    ), ended
+
+
 class Browser:
     """Headless Chromium that reaches nothing but this machine, which has a foreign name, too."""
 

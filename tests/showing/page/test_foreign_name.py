@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Thread
 from typing import Any
@@ -19,6 +19,7 @@ pytest.importorskip(
 )
 
 from tests.showing.page.conftest import FOREIGN
+from tests.support.processes import Process
 from tests.support.sockets import page_token
 from twinmatch.showing.foxglove.node import GraphServer
 
@@ -32,11 +33,6 @@ made.onopen = () => { made.close(); done('open') };
 made.onerror = () => done('refused');
 """
 FETCH = "const done = arguments[1]; fetch(arguments[0]).then(async (a) => done(await a.text()), () => done(null))"
-
-
-@pytest.fixture(scope="module")
-def page(page_process: Callable[..., Any]) -> Any:
-    return page_process("--control")
 
 
 @pytest.fixture(scope="module")
@@ -64,9 +60,9 @@ def named(url: str, name: str) -> str:
 
 
 def test_a_foreign_name_gets_403_and_nothing_of_the_page(
-    page: Any, browser: Any
+    commanding: Process, browser: Any
 ) -> None:
-    foreign = named(page.url, FOREIGN)
+    foreign = named(commanding.url, FOREIGN)
     for path in ("", "static/js/bokeh.min.js"):
         browser.driver.get(foreign + path)
         assert browser.run(STATUS) == 403
@@ -76,7 +72,7 @@ def test_a_foreign_name_gets_403_and_nothing_of_the_page(
     socket = foreign.replace("http", "ws") + "ws"
     assert (
         browser.driver.execute_async_script(
-            SOCKET, socket, ["bokeh", page_token(page.url)]
+            SOCKET, socket, ["bokeh", page_token(commanding.url)]
         )
         == "refused"
     )
@@ -85,28 +81,28 @@ def test_a_foreign_name_gets_403_and_nothing_of_the_page(
 
 
 def test_a_page_of_another_site_gets_neither_token_nor_websocket(
-    page: Any, browser: Any, elsewhere: str
+    commanding: Process, browser: Any, elsewhere: str
 ) -> None:
     browser.driver.get(elsewhere)
     assert browser.driver.title == "elsewhere"
-    assert browser.driver.execute_async_script(FETCH, page.url) is None
+    assert browser.driver.execute_async_script(FETCH, commanding.url) is None
     for name in ("127.0.0.1", FOREIGN):
-        socket = named(page.url, name).replace("http", "ws") + "ws"
+        socket = named(commanding.url, name).replace("http", "ws") + "ws"
         assert (
             browser.driver.execute_async_script(
-                SOCKET, socket, ["bokeh", page_token(page.url)]
+                SOCKET, socket, ["bokeh", page_token(commanding.url)]
             )
             == "refused"
         )
 
 
 def test_this_machine_gets_the_page_and_its_websocket_by_name_too(
-    page: Any, browser: Any
+    commanding: Process, browser: Any
 ) -> None:
     """By its address 127.0.0.1 all other tests in a browser open it."""
-    browser.open(named(page.url, "localhost"))
-    socket = named(page.url, "localhost").replace("http", "ws") + "ws"
-    protocols = ["bokeh", page_token(page.url)]
+    browser.open(named(commanding.url, "localhost"))
+    socket = named(commanding.url, "localhost").replace("http", "ws") + "ws"
+    protocols = ["bokeh", page_token(commanding.url)]
     assert browser.driver.execute_async_script(SOCKET, socket, protocols) == "open"
     assert browser.run(STATUS) == 200
     assert browser.button("Output off") is not None
@@ -117,12 +113,12 @@ def test_this_machine_gets_the_page_and_its_websocket_by_name_too(
 
 
 def test_the_viewers_server_opens_for_local_pages_alone(
-    page: Any, browser: Any, elsewhere: str
+    commanding: Process, browser: Any, elsewhere: str
 ) -> None:
     server = GraphServer("rig", "127.0.0.1", 0)
     viewer = ["foxglove.sdk.v1"]
     outcomes = {}
-    for place in (page.url + "metrics", elsewhere):
+    for place in (commanding.url + "metrics", elsewhere):
         # a text of the same server, which is loaded sooner
         browser.driver.get(place)
         for name in ("127.0.0.1", FOREIGN):

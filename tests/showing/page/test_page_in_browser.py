@@ -52,7 +52,8 @@ from twinmatch_msgs.msg import (
     TwinState,
 )
 
-pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("page")]
+pytestmark = pytest.mark.ros
+of_the_page = pytest.mark.usefixtures("page")
 
 FORECAST = 3
 ANSWER = 6
@@ -191,9 +192,9 @@ def graph(ros: None) -> Iterator[Graph]:  # noqa: ARG001
 
 
 @pytest.fixture(scope="module")
-def page(page_process: Callable[..., Any], graph: Graph, browser: Any) -> Any:
-    started = page_process()
-    browser.open(started.url)
+def rig_page(commanding: Process, graph: Graph, browser: Any) -> Process:
+    """The page that may command the rig, in the browser's tab."""
+    browser.open(commanding.url)
     for name in ("plant/sample", "twin/state", "twin/model_score", "plant/pwm_applied"):
         browser.wait_for(lambda name=name: graph.heard(name), f"a reader of {name}")
     assert "°C" not in browser.text  # nobody has said what plant this is
@@ -203,7 +204,22 @@ def page(page_process: Callable[..., Any], graph: Graph, browser: Any) -> Any:
         "the page loaded again",
     )
     browser.wait_for(lambda: "set-point / °C" in browser.text, "the plant's own words")
-    return started
+    return commanding
+
+
+@pytest.fixture(scope="module")
+def page(
+    rig_page: Process, page_process: Callable[..., Process], browser: Any
+) -> Process:
+    """A page that may command nothing, at the address of the one that could: its tab comes back."""
+    address = rig_page.url
+    assert rig_page.end() == 0
+    browser.wait_for(lambda: "connection was lost" in browser.text, "a word of it")
+    restarted = page_process("--port", address.rsplit(":", 1)[1].strip("/"))
+    assert restarted.url == address
+    browser.wait_for(lambda: "connection was lost" not in browser.text, "the page")
+    browser.warnings()  # those of the lost connection
+    return restarted
 
 
 @pytest.fixture
@@ -226,9 +242,71 @@ def counted(number: int, period: float = 1.0, first: int = 0) -> list[Sample]:
     ]
 
 
-def test_it_loads_from_this_machine_alone_and_says_that_it_waits(
-    page: Any, browser: Any
+@pytest.mark.usefixtures("rig_page")
+def test_control_asks_the_controller_and_the_bridge(
+    graph: Graph, browser: Any, node: Callable[..., Process]
 ) -> None:
+    """A set-point entered on the page is the reference of the next sample of a real controller."""
+    ending = threading.Event()
+
+    def measure() -> None:
+        while not ending.wait(0.1):
+            message = Temperature(temperature=30.0)
+            message.header.stamp = graph.node.get_clock().now().to_msg()
+            graph.publish("plant/temperature", message)
+
+    measuring = threading.Thread(target=measure)
+    measuring.start()
+    try:
+        node("controller", "reference_source:=topic", "period:=0.2")
+        node("pwm_bridge", "port:=/dev/no-such-board")
+        browser.wait_for(lambda: browser.button("Output off"), "the buttons")
+
+        def ask(value: str) -> None:
+            entry = browser.run(
+                "return deep(document).find((e) => e.tagName == 'INPUT' && e.checkVisibility())"
+            )
+            entry.clear()
+            entry.send_keys(value, "\n")
+            browser.click("Set")
+
+        def asked(value: str, answer: str) -> bool:
+            ask(value)
+            time.sleep(1.0)
+            return answer in browser.text
+
+        browser.wait_for(lambda: asked("42.5", "requested 42.5 °C"), "the answer")
+        browser.wait_for(
+            lambda: browser.column("output", 2, "reference")[-1:] == [42.5],
+            "the set-point",
+        )
+        browser.wait_for(
+            lambda: asked("180", "180 °C not set: the controller allows 0 to 100 °C"),
+            "the refusal",
+        )
+        assert browser.column("output", 2, "reference")[-1] == 42.5
+
+        def stopped() -> bool:
+            # until the bridge has started, the page says that it is not there
+            browser.click("Output off")
+            time.sleep(1.0)
+            return "stopped on request; call clear_fault to continue" in browser.text
+
+        browser.wait_for(stopped, "the fault")
+        browser.click("Clear fault")
+        browser.wait_for(
+            lambda: "the PWM board is not connected" in browser.text, "the answer"
+        )
+        assert browser.warnings() == []
+    finally:
+        ending.set()
+        measuring.join()
+
+
+def test_an_open_tab_comes_back_with_the_server_and_waits(
+    page: Any, graph: Graph, browser: Any
+) -> None:
+    """The server began anew, so it has nothing to show; all that it is comes from this machine."""
     browser.wait_for(
         lambda: "waiting for the first sample" in browser.text, "that it waits"
     )
@@ -238,7 +316,15 @@ def test_it_loads_from_this_machine_alone_and_says_that_it_waits(
     assert browser.elsewhere(page.url) == []
     assert browser.driver.title == "twinmatch: Peltier rig"
 
+    def shown() -> bool:
+        graph.session(counted(3))
+        return "sample 2, 2 s" in browser.text
 
+    browser.wait_for(shown, "samples")
+    assert browser.warnings() == []
+
+
+@of_the_page
 def test_data_move_as_they_come(graph: Graph, browser: Any) -> None:
     coming = iter(counted(100_000))
     sent: list[int] = []
@@ -270,6 +356,7 @@ def test_data_move_as_they_come(graph: Graph, browser: Any) -> None:
     assert browser.warnings() == []
 
 
+@of_the_page
 def test_a_chart_is_drawn_only_while_somebody_can_see_it(
     graph: Graph, browser: Any
 ) -> None:
@@ -296,6 +383,7 @@ def test_a_chart_is_drawn_only_while_somebody_can_see_it(
     assert browser.warnings() == []
 
 
+@of_the_page
 def test_verdicts_family_and_events_are_shown(
     graph: Graph, browser: Any, judged: Judgement
 ) -> None:
@@ -332,6 +420,7 @@ def test_verdicts_family_and_events_are_shown(
     assert browser.warnings() == []
 
 
+@of_the_page
 def test_every_width_shows_the_first_answers_and_needs_no_scrolling_sideways(
     browser: Any,
 ) -> None:
@@ -350,6 +439,7 @@ def test_every_width_shows_the_first_answers_and_needs_no_scrolling_sideways(
         assert browser.warnings() == [], size
 
 
+@of_the_page
 def test_the_keys_reach_everything_that_can_be_clicked_and_help_is_one_of_it(
     browser: Any,
 ) -> None:
@@ -371,6 +461,7 @@ def test_the_keys_reach_everything_that_can_be_clicked_and_help_is_one_of_it(
     browser.run("document.getElementById('help').open = false")
 
 
+@of_the_page
 def test_what_comes_is_drawn_ahead_and_can_be_asked_for(
     graph: Graph, browser: Any, judged: Judgement, node: Callable[..., Process]
 ) -> None:
@@ -445,6 +536,7 @@ def _ask(browser: Any, level: str, hold: str) -> None:
     browser.click("Ask")
 
 
+@of_the_page
 def test_a_fault_is_shown_and_goes(graph: Graph, browser: Any) -> None:
     samples = counted(5)
     graph.session(samples)
@@ -475,6 +567,7 @@ def test_a_fault_is_shown_and_goes(graph: Graph, browser: Any) -> None:
     assert browser.warnings() == []
 
 
+@of_the_page
 def test_the_thermal_image_is_shown(graph: Graph, browser: Any) -> None:
     assert "Thermal image" not in browser.text  # most plants have none
     pixels = np.full((60, 80), 25.0)
@@ -494,6 +587,7 @@ def test_the_thermal_image_is_shown(graph: Graph, browser: Any) -> None:
     assert browser.warnings() == []
 
 
+@of_the_page
 def test_it_survives_that_the_graph_is_started_again(
     graph: Graph, browser: Any
 ) -> None:
@@ -517,6 +611,7 @@ def test_it_survives_that_the_graph_is_started_again(
     assert browser.warnings() == []
 
 
+@of_the_page
 def test_without_control_nothing_can_be_asked_of_the_rig(
     graph: Graph, browser: Any
 ) -> None:
@@ -530,93 +625,7 @@ def test_without_control_nothing_can_be_asked_of_the_rig(
     assert services == {"/player/pause", "/player/set_parameters", "/twin/what_if"}
 
 
-@pytest.fixture(scope="module")
-def commanding(page_process: Callable[..., Any]) -> Process:
-    """A page that may command the rig."""
-    started: Process = page_process("--control")
-    return started
-
-
-def test_control_asks_the_controller_and_the_bridge(
-    commanding: Process, graph: Graph, browser: Any, node: Callable[..., Process]
-) -> None:
-    """A set-point entered on the page is the reference of the next sample of a real controller."""
-    ending = threading.Event()
-
-    def measure() -> None:
-        while not ending.wait(0.1):
-            message = Temperature(temperature=30.0)
-            message.header.stamp = graph.node.get_clock().now().to_msg()
-            graph.publish("plant/temperature", message)
-
-    measuring = threading.Thread(target=measure)
-    measuring.start()
-    try:
-        node("controller", "reference_source:=topic", "period:=0.2")
-        node("pwm_bridge", "port:=/dev/no-such-board")
-        browser.open(commanding.url)
-        browser.wait_for(lambda: browser.button("Output off"), "the buttons")
-
-        def ask(value: str) -> None:
-            entry = browser.run(
-                "return deep(document).find((e) => e.tagName == 'INPUT' && e.checkVisibility())"
-            )
-            entry.clear()
-            entry.send_keys(value, "\n")
-            browser.click("Set")
-
-        def asked(value: str, answer: str) -> bool:
-            ask(value)
-            time.sleep(1.0)
-            return answer in browser.text
-
-        browser.wait_for(lambda: asked("42.5", "requested 42.5 °C"), "the answer")
-        browser.wait_for(
-            lambda: browser.column("output", 2, "reference")[-1:] == [42.5],
-            "the set-point",
-        )
-        browser.wait_for(
-            lambda: asked("180", "180 °C not set: the controller allows 0 to 100 °C"),
-            "the refusal",
-        )
-        assert browser.column("output", 2, "reference")[-1] == 42.5
-
-        def stopped() -> bool:
-            # until the bridge has started, the page says that it is not there
-            browser.click("Output off")
-            time.sleep(1.0)
-            return "stopped on request; call clear_fault to continue" in browser.text
-
-        browser.wait_for(stopped, "the fault")
-        browser.click("Clear fault")
-        browser.wait_for(
-            lambda: "the PWM board is not connected" in browser.text, "the answer"
-        )
-        assert browser.warnings() == []
-    finally:
-        ending.set()
-        measuring.join()
-
-
-def test_an_open_tab_comes_back_with_the_server(
-    commanding: Process, page_process: Callable[..., Any], graph: Graph, browser: Any
-) -> None:
-    """After the test above: the tab shows the page that may command."""
-    address = commanding.url
-    assert commanding.end() == 0
-    browser.wait_for(lambda: "connection was lost" in browser.text, "a word of it")
-    restarted = page_process("--port", address.rsplit(":", 1)[1].strip("/"))
-    assert restarted.url == address
-    browser.wait_for(lambda: "connection was lost" not in browser.text, "the page")
-
-    def shown() -> bool:
-        graph.session(counted(3))
-        return "sample 2, 2 s" in browser.text
-
-    browser.wait_for(shown, "samples")
-    browser.warnings()  # those of the lost connection
-
-
+@of_the_page
 def test_a_replay_is_paused_and_hurried(
     browser: Any, node: Callable[..., Process], tmp_path: Path
 ) -> None:

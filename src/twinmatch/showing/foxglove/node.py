@@ -123,13 +123,20 @@ class GraphServer(ServerListener):
         return topic in self._channels and self._channels[topic].schema_name() == kind
 
     def advertise(self, topic: str, kind: str, schema: str) -> None:
-        """Advertise a topic: full name, `package/msg/Type`, and its definition with those of nested types."""
+        """Advertise a topic: full name, `package/msg/Type`, and its definition with those of nested types.
+
+        The SDK tells the viewers of a channel before it knows the channel itself, and refuses whoever is
+        quick enough to subscribe in between: so they hear of it once it is made.
+        """
         if topic in self._channels:
-            self._channels.pop(topic).close()
+            closed = self._channels.pop(topic)
+            self._last.pop(closed.id(), None)
+            closed.close()
         declared = Schema(name=kind, encoding="ros2msg", data=schema.encode())
-        self._channels[topic] = Channel(
-            topic, schema=declared, message_encoding="cdr", context=self._context
-        )
+        with self._relay.holding_back():
+            self._channels[topic] = Channel(
+                topic, schema=declared, message_encoding="cdr", context=self._context
+            )
 
     def send(self, topic: str, data: bytes, received: int) -> None:
         """Forward a message, CDR with its encapsulation header; `received` is the time of reception, ns."""

@@ -6,7 +6,8 @@ import asyncio
 import secrets
 import socket
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from typing import Final
 
@@ -52,10 +53,20 @@ class Relay:
         self._inner = inner
         self._open: set[asyncio.Task[None]] = set()
         self._told: set[str] = set()
+        self._passage = threading.Lock()
         self._loop = asyncio.new_event_loop()
         self._over = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="relay", daemon=True)
         self._thread.start()
+
+    @contextmanager
+    def holding_back(self) -> Iterator[None]:
+        """Hold back what the server says to its viewers meanwhile; it reaches them afterwards.
+
+        Connections stand still as long, so this is for what takes milliseconds.
+        """
+        with self._passage:
+            yield
 
     def close(self) -> bool:
         """End all connections; what their server has said before its end is passed on first.
@@ -115,8 +126,8 @@ class Relay:
     ) -> None:
         from_server, to_server = await asyncio.open_connection(*self._inner)
         ways = [
-            self._loop.create_task(_copy(*way))
-            for way in ((reader, to_server), (from_server, writer))
+            self._loop.create_task(_copy(reader, to_server, nullcontext())),
+            self._loop.create_task(_copy(from_server, writer, self._passage)),
         ]
         try:
             to_server.write(request)
@@ -153,9 +164,15 @@ async def _refuse(writer: asyncio.StreamWriter, why: str) -> None:
     await writer.drain()
 
 
-async def _copy(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
-    """Pass bytes on until one side ends; a side that does not read holds back only its own."""
+async def _copy(
+    source: asyncio.StreamReader,
+    sink: asyncio.StreamWriter,
+    passage: AbstractContextManager[object],
+) -> None:
+    """Pass bytes on until one side ends, each time within `passage`; a side that does not read holds back
+    only its own."""
     with suppress(OSError):
         while data := await source.read(1 << 16):
-            sink.write(data)
+            with passage:
+                sink.write(data)
             await sink.drain()
