@@ -351,7 +351,9 @@ def run_on_terminal(
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 60, width, 0, 0))
     inherited = {k: v for k, v in os.environ.items() if k not in TERMINAL_VARIABLES}
     process = fork_server().start(
-        *("-m", "twinmatch.cli", *map(str, arguments)),
+        "-m",
+        "twinmatch.cli",
+        *map(str, arguments),
         output=theirs,
         environment={**inherited, "TERM": "xterm-256color", **environment},
     )
@@ -386,18 +388,16 @@ def test_a_terminal_shows_the_run_and_ends_with_the_sentence(
     assert "100 %, 0:16:50 of 0:16:50 h" in lines[0]
     header = next(line for line in lines if line.startswith("candidate"))
     assert header.split() == [
-        *(
-            "candidate",
-            "°C",
-            "mV/K",
-            "W/K",
-            "J/K",
-            "order",
-            "characters",
-            "nAIC",
-            "BIC",
-            "°C²+PWM²",
-        ),
+        "candidate",
+        "°C",
+        "mV/K",
+        "W/K",
+        "J/K",
+        "order",
+        "characters",
+        "nAIC",
+        "BIC",
+        "°C²+PWM²",
         *["Σ", "ν-gap", "90", "%", "of", "Σ", "P(nominal)", "ν-gap", "now", "margin"],
     ]
     ended = stands[stands.index("Leader: ") :]

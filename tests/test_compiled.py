@@ -90,7 +90,8 @@ def run(folder: Path, home: Path | None = None) -> str:
     start = folder / "start.py"
     start.write_text(START.format(folder=str(folder), entry=str(folder / "entry.py")))
     process = Process(
-        *(sys.executable, start),
+        sys.executable,
+        start,
         output=folder / "said.txt",
         environment=keep,
         folder=folder,
@@ -122,17 +123,17 @@ INSIDES = {
     "codegen:JITCodeLibrary.get_pointer_to_function": ("self", "name"),
     "compiler:CompileResult._find_referenced_environments": ("self",),
     "compiler:CompileResult._rebuild": (
-        *(
-            "cls",
-            "target_context",
-            "libdata",
-            "fndesc",
-            "env",
-            "signature",
-            "objectmode",
-            "lifted",
-        ),
-        *("typeann", "reload_init", "referenced_envs"),
+        "cls",
+        "target_context",
+        "libdata",
+        "fndesc",
+        "env",
+        "signature",
+        "objectmode",
+        "lifted",
+        "typeann",
+        "reload_init",
+        "referenced_envs",
     ),
     "cpu:CPUContext.create_cfunc_wrapper": (
         "self",
@@ -142,7 +143,12 @@ INSIDES = {
         "call_helper",
     ),
     "cpu:CPUContext.create_cpython_wrapper": (
-        *("self", "library", "fndesc", "env", "call_helper", "release_gil"),
+        "self",
+        "library",
+        "fndesc",
+        "env",
+        "call_helper",
+        "release_gil",
     ),
     "cpu:CPUContext.get_executable": ("self", "library", "fndesc", "env"),
     "dispatcher:Dispatcher.get_call_template": ("self", "args", "kws"),

@@ -303,29 +303,23 @@ def test_there_and_back_is_the_same(units: tuple[str, str], value: float) -> Non
 
 def test_units_are_known_by_all_their_spellings_and_by_what_they_measure() -> None:
     for written, plain in (
-        *(
-            ("deg.C", "°C"),
-            ("ºC", "°C"),
-            ("Celsius", "°C"),
-            ("pct", "%"),
-            ("percent", "%"),
-            ("LPM", "l/min"),
-        ),
-        *(
-            ("L/min", "l/min"),
-            ("RPM", "rpm"),
-            ("U/min", "rpm"),
-            ("W/m2K", "W/(m² K)"),
-            ("m3/h", "m³/h"),
-        ),
-        *(
-            ("m/s2", "m/s²"),
-            ("Nm", "N m"),
-            ("J/kgK", "J/(kg K)"),
-            ("kOhm", "kΩ"),
-            ("Volt", "V"),
-            ("pH", ""),
-        ),
+        ("deg.C", "°C"),
+        ("ºC", "°C"),
+        ("Celsius", "°C"),
+        ("pct", "%"),
+        ("percent", "%"),
+        ("LPM", "l/min"),
+        ("L/min", "l/min"),
+        ("RPM", "rpm"),
+        ("U/min", "rpm"),
+        ("W/m2K", "W/(m² K)"),
+        ("m3/h", "m³/h"),
+        ("m/s2", "m/s²"),
+        ("Nm", "N m"),
+        ("J/kgK", "J/(kg K)"),
+        ("kOhm", "kΩ"),
+        ("Volt", "V"),
+        ("pH", ""),
     ):
         assert measure(written) == measure(plain), written
         assert measure(written).known

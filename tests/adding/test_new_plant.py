@@ -385,7 +385,10 @@ def test_what_is_written_passes_its_own_test_and_the_house_style(
     )
     paths = written(tmp_path, proposal, "my_kiln")
     assert [path.name for path in paths] == [
-        *("my_kiln.py", "test_my_kiln.py", "my_kiln.yaml", "my_kiln_map.yaml")
+        "my_kiln.py",
+        "test_my_kiln.py",
+        "my_kiln.yaml",
+        "my_kiln_map.yaml",
     ]
     assert (
         yaml.safe_load((tmp_path / "my_kiln_map.yaml").read_text())["columns"]["room"]

@@ -87,7 +87,10 @@ def test_a_fault_says_what_it_is_since_when_and_where_to_look() -> None:
 def test_what_the_guard_reports_is_a_fault_beside_that_of_the_plant() -> None:
     held = fault_of_drive("too_hot: 121 °C")
     assert held == FaultStatement(
-        *("output held at zero: too hot", "", "output held at zero: too hot", "121 °C"),
+        "output held at zero: too hot",
+        "",
+        "output held at zero: too hot",
+        "121 °C",
         TrustLevel.FAULT,
     )
     assert statements_of(LOST, "too_hot: 121 °C").faults == (plant_fault(LOST), held)

@@ -233,7 +233,8 @@ def test_times_and_titles_that_loggers_get_wrong_have_one_message(
     table.write_text(text)
     with pytest.raises(RecordingError, match=message):
         map_samples(
-            *(read_table(table), SignalMap(proposed(columns_of(read_table(table))))),
+            read_table(table),
+            SignalMap(proposed(columns_of(read_table(table)))),
             Motor,
         )
 

@@ -299,8 +299,14 @@ def test_it_ends_with_the_profile(start: Start, bench: Bench) -> None:
     process = start(
         "controller",
         *FAST,
-        *("-p", "profile.levels:=[40.0, 50.0]", "-p", "profile.holds:=[1.0, 1.0]"),
-        *("-p", "profile.repeat:=false", "-p", "exit_at_end:=true"),
+        "-p",
+        "profile.levels:=[40.0, 50.0]",
+        "-p",
+        "profile.holds:=[1.0, 1.0]",
+        "-p",
+        "profile.repeat:=false",
+        "-p",
+        "exit_at_end:=true",
     )
     bench.feed(lambda: not process.running, "the end")
     assert process.wait() == 0

@@ -206,7 +206,9 @@ def test_an_answer_names_what_happens_first_by_its_own_name_and_a_single_level_i
         tree["reach_latest"],
         tree["largest_input_most"],
     ) == (
-        *([2.0], 1.0, 2.0),
+        [2.0],
+        1.0,
+        2.0,
         2.5,
     )
     assert math.isnan(tree["reach_earliest"])

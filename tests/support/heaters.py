@@ -11,14 +11,12 @@ from std_srvs.srv import Trigger
 from tests.support.ros import Listener
 
 UNWATCHED = [
-    *(
-        "-p",
-        "observer.band:=150.0",
-        "-p",
-        "observer.margin:=150.0",
-        "-p",
-        "budget.least:=1000000.0",
-    ),
+    "-p",
+    "observer.band:=150.0",
+    "-p",
+    "observer.margin:=150.0",
+    "-p",
+    "budget.least:=1000000.0",
 ]
 """For benches whose sensor shows what the test says, whatever is driven."""
 

@@ -25,14 +25,13 @@ CAMERA_PATHS = os.pathsep.join(
 )
 """PYTHONPATH of the camera program, which is a distribution of its own."""
 CHROMIUM = (
-    *(
-        "--no-sandbox",
-        "--disable-gpu",
-        "--disable-dev-shm-usage",
-        "--no-first-run",
-        "--disable-sync",
-    ),
-    *("--disable-background-networking", "--disable-component-update"),
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--disable-sync",
+    "--disable-background-networking",
+    "--disable-component-update",
 )
 """Options of a browser that reaches nobody."""
 _TEMPORARY: list[Path] = []

@@ -173,8 +173,13 @@ class VirtualRig(VirtualPlantTime):
         (
             *VirtualPlant.FAULTS,
             *OF_READINGS,
-            *("sensor-frozen", "camera-gone", "garbage-camera"),
-            *("driver-fault", "board-hung", "cable-pulled", "garbage-serial"),
+            "sensor-frozen",
+            "camera-gone",
+            "garbage-camera",
+            "driver-fault",
+            "board-hung",
+            "cable-pulled",
+            "garbage-serial",
         )
     )
     _FEEDBACK_EVERY: Final = 100

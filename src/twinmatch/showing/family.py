@@ -300,7 +300,8 @@ _MARGIN: Final = (
     "b(P, C): up to this ν-gap the controller in use stabilises every plant"
 )
 FIGURES: Final = (
-    *(GAP_SUM, _SUM_LOW),
+    GAP_SUM,
+    _SUM_LOW,
     FigureColumn(
         "nominal_probability",
         "P(nominal)",
@@ -308,7 +309,8 @@ FIGURES: Final = (
         2,
         "probability of having the smallest sum",
     ),
-    *(GAP_NOW, FigureColumn("margin", "margin", "", 3, _MARGIN)),
+    GAP_NOW,
+    FigureColumn("margin", "margin", "", 3, _MARGIN),
 )
 """Columns of a candidate beside those of its orders."""
 

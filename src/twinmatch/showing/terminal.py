@@ -311,19 +311,19 @@ WellDetermined = Mapping[tuple[int, int], Sequence[str]]
 
 _FREE: Final = "parameters"
 _BY_PRIORITY: Final = (
-    *(
-        "candidate",
-        "order",
-        "Σ ν-gap",
-        "P(nominal)",
-        _FREE,
-        "gain",
-        "at",
-        "margin",
-        "90 % of Σ",
-        "nAIC",
-    ),
-    *("BIC", "MDL", "ν-gap now"),
+    "candidate",
+    "order",
+    "Σ ν-gap",
+    "P(nominal)",
+    _FREE,
+    "gain",
+    "at",
+    "margin",
+    "90 % of Σ",
+    "nAIC",
+    "BIC",
+    "MDL",
+    "ν-gap now",
 )
 """Names of the columns; where there is no room for all, the last are left out first."""
 

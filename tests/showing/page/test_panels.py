@@ -160,9 +160,17 @@ def test_events_of_the_session_before_are_distinguished() -> None:
         Event(900, EventKind.ADMITTED, "old", "why", Mark.GOOD, session=1),
     ]
     assert words(panels.events_table(events, 2, 0.5)) == [
-        *("t", "s", "what and why"),
-        *("4", "●", "new", "why"),
-        *("session 1: 450", "●", "old", "why"),
+        "t",
+        "s",
+        "what and why",
+        "4",
+        "●",
+        "new",
+        "why",
+        "session 1: 450",
+        "●",
+        "old",
+        "why",
     ]
 
 

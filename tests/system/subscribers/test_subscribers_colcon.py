@@ -76,7 +76,9 @@ def build(folder: Path, stranger: dict[str, str], package: str) -> None:
     cmake = [
         f"-DCMAKE_PREFIX_PATH={';'.join(map(str, paths))}",
         f"-DPython3_EXECUTABLE={sys.executable}",
-        *("-DBUILD_SHARED_LIBS=ON", "-DCMAKE_C_FLAGS=-O0", "-DCMAKE_CXX_FLAGS=-O0"),
+        "-DBUILD_SHARED_LIBS=ON",
+        "-DCMAKE_C_FLAGS=-O0",
+        "-DCMAKE_CXX_FLAGS=-O0",
     ]
     environment = {
         **{

@@ -60,7 +60,8 @@ LANES = {
 }
 """The row of the time line of each kind of event."""
 FORECAST_COLUMNS = (
-    *("t", "reference"),
+    "t",
+    "reference",
     *(
         f"{signal}{edge}"
         for signal in ("output", "input")

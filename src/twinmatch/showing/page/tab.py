@@ -197,17 +197,17 @@ class Tab:
         self._matrix = GapMatrix()
         self._thermal = ThermalImage()
         names = (
-            *(
-                "status",
-                "alarm",
-                "first",
-                "reasons",
-                "tiles",
-                "family",
-                "events",
-                "nodes",
-            ),
-            *("matrix_note", "chart_note", "answer"),
+            "status",
+            "alarm",
+            "first",
+            "reasons",
+            "tiles",
+            "family",
+            "events",
+            "nodes",
+            "matrix_note",
+            "chart_note",
+            "answer",
         )
         self._texts: dict[str, Div] = {name: panel(name) for name in names}
         self._all_orders = Toggle(label="all orders", name="every", width=110)
