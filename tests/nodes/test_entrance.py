@@ -439,7 +439,7 @@ class Bare(LiveRun):
 
     def start(self, node: Watch) -> None:
         node.create_subscription(
-            messages.LoopSample, "plant/sample", self._live.take_sample, 100
+            messages.LoopSample, "plant/sample", self.live.take_sample, 100
         )
 
     def show(self, line: str) -> None:
