@@ -88,7 +88,7 @@ def test_programs_take_turns_and_failures_stay_in_the_table(common) -> None:
 def test_what_is_measured_is_computed_at_every_call(common) -> None:
     """Candidates stay in a family for many verdicts, so ν-gaps are kept: asked again, they cost a look-up."""
     from twinmatch.comparing import GraphSymbol, nu_gap
-    from twinmatch.comparing.nu_gap import _between
+    from twinmatch.comparing.nu_gap import gap_between
 
     symbols = [
         GraphSymbol.of_transfer_functions([([0.1], [1.0, -a])], 1.0) for a in (0.5, 0.9)
@@ -97,9 +97,9 @@ def test_what_is_measured_is_computed_at_every_call(common) -> None:
     case = {"twinmatch": lambda: nu_gap(*symbols)}
     (timing,) = common.measure_side_by_side(case, repeats=2).values()
     assert timing.result > 0
-    assert _between.cache_info()[:2] == (0, 1)
+    assert gap_between.cache_info()[:2] == (0, 1)
     common.measure_side_by_side(case, repeats=2, keeping=True)
-    assert _between.cache_info().hits > 2
+    assert gap_between.cache_info().hits > 2
 
 
 def test_a_slow_program_is_not_asked_twice(common) -> None:

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twinmatch.dynamics.code import plant_formulas
-from twinmatch.dynamics.equations import _FUNCTIONS, Derived
+from twinmatch.dynamics.equations import FUNCTIONS, Derived
 from twinmatch.dynamics.machine import compiled_object, linked
 
 X = sympy.symbols("level flow", real=True)
@@ -103,7 +103,7 @@ def assert_all_agree(equations: Derived) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", sorted(set(_FUNCTIONS) - {"Abs", "Max", "Min", "Piecewise"})
+    "name", sorted(set(FUNCTIONS) - {"Abs", "Max", "Min", "Piecewise"})
 )
 def test_every_function_that_equations_may_use_is_compiled(name: str) -> None:
     """Kinks are resolved into switches before; the four that have one are tested with those."""

@@ -28,7 +28,7 @@ from twinmatch.dynamics import (
     simulate_driven,
 )
 from twinmatch.fmu import adopt_fmus, archive, structure
-from twinmatch.fmu.archive import FmuError, Variable, _Names
+from twinmatch.fmu.archive import FmuError, Variable, VariableNames
 from twinmatch.plants import Peltier
 
 
@@ -541,7 +541,7 @@ def test_of_variables_with_like_names_the_first_is_proposed() -> None:
     def variable(name: str) -> Variable:
         return Variable(name, 0, "parameter", "fixed", "exact", "", 1.0, "", -1)
 
-    names = _Names(
+    names = VariableNames(
         [variable("other"), variable("cooler.See_beck"), variable("seebeck")]
     )
     liked = names.like(Peltier.parameters["seebeck"])

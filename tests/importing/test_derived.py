@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.plant_files import plant_file
 from tests.support.processes import no_plant_files
-from twinmatch.adding.written_files import _source
+from twinmatch.adding.written_files import written_source
 from twinmatch.importing.column_map import read_map
 from twinmatch.importing.derived import with_derived
 from twinmatch.importing.mapped import (
@@ -129,7 +129,8 @@ def test_a_map_that_was_written_to_a_file_computes_the_same(path: Path) -> None:
     ]
     _, derived = with_derived(read_table(path), parse_map(entries))
     lines = [
-        f"  {signal}: {_source(source)}" for signal, source in derived.sources.items()
+        f"  {signal}: {written_source(source)}"
+        for signal, source in derived.sources.items()
     ]
     file = path.parent / "map.yaml"
     file.write_text("\n".join(["columns:", *lines]))

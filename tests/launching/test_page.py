@@ -47,7 +47,7 @@ pytest.importorskip(
 from tests.support.places import LAUNCH_SCRIPTS
 from tests.support.processes import Process, run_twinmatch
 from tests.support.waiting import wait_for
-from twinmatch.launching.live import _LiveRun
+from twinmatch.launching.live import LiveRun
 from twinmatch.launching.plan import VirtualPlan
 from twinmatch.launching.processes import Page, Processes, add_page_options, page_of
 from twinmatch.launching.watch import Watch
@@ -165,13 +165,13 @@ class Ending(Processes):
         self.started.append(f"{name}: {module} {' '.join(arguments)}")
 
 
-def ending(name: str, code: int) -> tuple[Live, _LiveRun, Ending]:
+def ending(name: str, code: int) -> tuple[Live, LiveRun, Ending]:
     plan = LivePlan(
         Path("rig.yaml"), session=Path("run"), virtual=VirtualPlan(speed=20.0)
     )
     live = Live(plan)
     live.results.samples.close()
-    run = _LiveRun(live, Lines())
+    run = LiveRun(live, Lines())
     run.show("[virtual_rig] clock: localhost:9")
     run.processes = processes = Ending(name, code)
     return live, run, processes
@@ -227,10 +227,10 @@ def test_others_are_restarted_but_not_for_ever(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     live, run, processes = ending(name, -9)
-    for _ in range(_LiveRun.RESTARTS):
+    for _ in range(LiveRun.RESTARTS):
         assert run.check(Watch) is None  # type: ignore[arg-type]
     assert f"{name} ended with code -9; restarting it" in capsys.readouterr().out
-    assert len(processes.started) == _LiveRun.RESTARTS
+    assert len(processes.started) == LiveRun.RESTARTS
     assert processes.started[0].startswith(f"{name}: twinmatch.nodes {name} --ros-args")
     assert run.check(Watch) == 3  # type: ignore[arg-type]
     assert "after 12 restarts in 600 s" in live.ending

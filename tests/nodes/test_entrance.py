@@ -34,7 +34,7 @@ from tests.support.waiting import wait_for
 from twinmatch.comparing import TrustLevel
 from twinmatch.fitting import Match, Status
 from twinmatch.fitting.match import Fit
-from twinmatch.launching.live import Live, _LiveRun
+from twinmatch.launching.live import Live, LiveRun
 from twinmatch.launching.plan import LivePlan
 from twinmatch.launching.watch import Settled, Watch
 from twinmatch.nodes.entrance import ALONE, Course, Entrance
@@ -434,12 +434,12 @@ def test_counts_of_a_report_are_read_as_they_are_written() -> None:
         assert not settled.complete(0, 0)
 
 
-class Bare(_LiveRun):
+class Bare(LiveRun):
     """A launcher without processes."""
 
     def start(self, node: Watch) -> None:
         node.create_subscription(
-            messages.LoopSample, "plant/sample", self._live.take_sample, 100
+            messages.LoopSample, "plant/sample", self.live.take_sample, 100
         )
 
     def show(self, line: str) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -44,6 +46,45 @@ def test_a_class_name_means_one_thing() -> None:
         )
     assert len(names) > 500
     assert [name for name, count in names.items() if count > 1] == []
+
+
+PRIVATE = re.compile(r"_(?!_)\w+")
+NOT_PRIVATE = {"_replace", "_fields", "_asdict", "_exit"}
+"""Named like that by the language's library, which documents them."""
+NO_OTHER_WAY = {"_H1"}
+"""The heater of the model in the package `tclab`, which can be set nowhere else."""
+WATCHES_NUMBA = "test_compiled.py"
+"""Tests that what `compiled` relies on within numba is still there."""
+
+
+def private_names(path: Path) -> Iterator[str]:
+    """What a test uses that belongs to somebody else and is private there."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Attribute):
+            owner = node.value
+            is_own = isinstance(owner, ast.Name) and owner.id in {"self", "cls"}
+            is_inherited = isinstance(owner, ast.Call) and isinstance(
+                owner.func, ast.Name
+            )
+            if is_own or (is_inherited and owner.func.id == "super"):
+                continue
+            if (
+                PRIVATE.fullmatch(node.attr)
+                and node.attr not in NOT_PRIVATE | NO_OTHER_WAY
+            ):
+                yield f"{path.name}:{node.lineno}: {node.attr}"
+        elif isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                if PRIVATE.fullmatch(alias.name):
+                    yield f"{path.name}:{node.lineno}: {alias.name}"
+
+
+def test_tests_use_nothing_private() -> None:
+    paths = [
+        path for path in (PROJECT / "tests").rglob("*.py") if path.name != WATCHES_NUMBA
+    ]
+    assert len(paths) > 200
+    assert [name for path in paths for name in private_names(path)] == []
 
 
 SLOW = (

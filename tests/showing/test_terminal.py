@@ -164,6 +164,11 @@ def test_what_was_drawn_can_be_wiped_away(judged: Judgement) -> None:
     assert last_screen(stream.getvalue() + "after") == ["after"]
 
 
+def test_a_run_that_fails_before_it_is_shown_ends_with_its_own_error() -> None:
+    """It closes the view that it has not opened."""
+    Screen(Console(file=io.StringIO(), force_terminal=True), "never opened").close()
+
+
 def test_a_line_of_somebody_else_stands_above_the_view(judged: Judgement) -> None:
     stream = io.StringIO()
     screen = Screen(

@@ -13,7 +13,7 @@ from std_msgs.msg import Float64
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.expected import MESSAGES, MessageRules, check
-from twinmatch.nodes.topics import _field, message_class
+from twinmatch.nodes.topics import field_of, message_class
 from twinmatch.plants import Peltier
 
 NUMBERS = (
@@ -116,7 +116,7 @@ class Nonsense:
         return message
 
     def _set(self, message: Any, name: str, text: str) -> None:
-        field = _field(text)
+        field = field_of(text)
         if not field.array:
             setattr(message, name, self._value(field.kind))
             return

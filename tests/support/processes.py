@@ -287,12 +287,12 @@ class Processes:
 @contextmanager
 def no_plant_files() -> Iterator[None]:
     """Forget the plant files that this process has loaded, and know them again afterwards."""
-    tables: list[dict[Any, Any]] = [files._BY_FILE, files._BY_NAME, files._WRITTEN]
+    tables: list[dict[Any, Any]] = list(files.LOADED)
     copies = [dict(table) for table in tables]
     modules = {
         name: module
         for name, module in sys.modules.items()
-        if name.startswith(files._MODULES)
+        if name.startswith(files.MODULE_PREFIX)
     }
     for table in tables:
         table.clear()

@@ -149,7 +149,7 @@ class Inside:
 
     @property
     def nodes(self) -> list[TwinmatchNode]:
-        return self._nodes._nodes
+        return self._nodes.nodes
 
     @property
     def running(self) -> bool:

@@ -24,7 +24,7 @@ from tests.support.oven import RIG, oven_file
 from tests.support.places import PROJECT, SHIPPED
 from tests.support.processes import Processes, run_twinmatch
 from tests.support.waiting import PATIENCE
-from twinmatch.cli import _parser
+from twinmatch.cli import command_parser
 from twinmatch.sessions import read_session, write_session
 
 README = (PROJECT / "README.md").read_text("utf-8")
@@ -159,14 +159,14 @@ def test_each_make_command_would_run_what_it_promises(command: str) -> None:
 
 @pytest.mark.parametrize("command", PARSED)
 def test_what_needs_hardware_is_understood(command: str) -> None:
-    options = _parser().parse_args(shlex.split(command)[1:])
+    options = command_parser().parse_args(shlex.split(command)[1:])
     if options.config is not None:
         assert (PROJECT / options.config).is_file()
 
 
 def test_a_misspelt_option_would_be_found() -> None:
     with pytest.raises(SystemExit):
-        _parser().parse_args(["live", "--confg", "config/rig.yaml"])
+        command_parser().parse_args(["live", "--confg", "config/rig.yaml"])
 
 
 @pytest.fixture(scope="module")

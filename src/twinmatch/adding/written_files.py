@@ -77,7 +77,7 @@ def files_of(name: str, proposal: Proposal | SeveralProposal) -> dict[str, str]:
     }
     if proposal.sources:
         sources = [
-            (_key(signal), _source(source))
+            (_key(signal), written_source(source))
             for signal, source in proposal.sources.items()
         ]
         files[f"{name}_map.yaml"] = pages.get_template("map.jinja").render(
@@ -273,7 +273,7 @@ def _quote(value: Any) -> str:
     return "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in text)
 
 
-def _source(source: SignalSource) -> str:
+def written_source(source: SignalSource) -> str:
     """A source as YAML, in one line."""
     columns: Any = list(source.places) if len(source.places) > 1 else source.places[0]
     entry: dict[str, Any] = {"column": columns}

@@ -99,7 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Sequence[str] | None) -> int:
     try:
-        options = _parser().parse_args(arguments)
+        options = command_parser().parse_args(arguments)
         command: Callable[[argparse.Namespace], int] = options.command
         if (name := command.__module__.rpartition(".")[2]) in _OF_ROS:
             require_ros(name)
@@ -153,7 +153,8 @@ def _without(
     return EXIT_USER_ERROR
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line."""
     parser = _Parser(
         prog="twinmatch",
         description="Which digital twin to trust, and how far, while the plant runs.",

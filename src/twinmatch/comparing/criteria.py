@@ -232,12 +232,8 @@ def akaike_weights(criteria: ArrayLike) -> AkaikeWeights:
         DiscriminationError: no value, or one that is not a number or +∞.
     """
     values = np.asarray(criteria, dtype=np.float64)
-    if (
-        values.ndim != 1
-        or not values.size
-        or np.isnan(values).any()
-        or np.isposinf(values).any()
-    ):
+    has_worst = bool(np.isnan(values).any() or np.isposinf(values).any())
+    if values.ndim != 1 or not values.size or has_worst:
         msg = f"Akaike weights: the criteria are {np.asarray(criteria).tolist()}; give one number per model"
         raise DiscriminationError(msg)
     least = values.min()

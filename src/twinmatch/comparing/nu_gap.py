@@ -161,11 +161,12 @@ def nu_gap(p1: Any, p2: Any) -> float:
     g1 = graph_symbol(p1)
     g2 = graph_symbol(p2)
     common_period(g1, g2)
-    return _between(g1, g2)
+    return gap_between(g1, g2)
 
 
 @lru_cache(maxsize=8192)  # candidates stay in the family for many verdicts
-def _between(g1: GraphSymbol, g2: GraphSymbol) -> float:
+def gap_between(g1: GraphSymbol, g2: GraphSymbol) -> float:
+    """The ν-gap of two symbols; it is kept, and another call costs a look-up."""
     if g1.column == g2.column:
         return 0.0
     largest, half_turns = _compare(

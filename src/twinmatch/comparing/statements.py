@@ -110,14 +110,13 @@ def statements_of(verdict: Verdict | None, drive_fault: str = "") -> Statements:
 
 
 def _trust_in(verdict: Verdict) -> TrustStatement:
+    is_doubtful = verdict.level is TrustLevel.DOUBTFUL
     return TrustStatement(
         level=verdict.level,
         reason=verdict.level_reason or LEVEL_WORDS.get(verdict.level, ""),
         horizons=verdict.trusted,
         doubts=verdict.doubts,
-        missed_since=verdict.miss_since
-        if verdict.level is TrustLevel.DOUBTFUL
-        else None,
+        missed_since=verdict.miss_since if is_doubtful else None,
     )
 
 

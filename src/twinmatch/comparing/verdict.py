@@ -518,17 +518,18 @@ def judge_uncertainty(
 def _with_intervals(
     candidates: Sequence[CandidateScore], uncertainty: FamilyUncertainty
 ) -> tuple[CandidateScore, ...]:
-    return tuple(
-        replace(
-            c,
+    with_intervals = []
+    for k, candidate in enumerate(candidates):
+        score = replace(
+            candidate,
             nu_gap_low=tuple(uncertainty.nu_gap_low[k].tolist()),
             nu_gap_high=tuple(uncertainty.nu_gap_high[k].tolist()),
             nu_gap_sum_low=float(uncertainty.sum_low[k]),
             nu_gap_sum_high=float(uncertainty.sum_high[k]),
             nominal_probability=float(uncertainty.nominal_probability[k]),
         )
-        for k, c in enumerate(candidates)
-    )
+        with_intervals.append(score)
+    return tuple(with_intervals)
 
 
 def with_margins(
@@ -551,12 +552,7 @@ def with_margins(
             return tuple(candidates)
         plants = [_plant(c, law) for c in candidates]
         centre = plants[chosen]
-        figures = tuple(
-            (_margin(p, controller), nu_gap(p, centre) if centre else None)
-            if p
-            else (None, None)
-            for p in plants
-        )
+        figures = tuple(_figures_of(plant, controller, centre) for plant in plants)
     else:
         return tuple(candidates)
     return tuple(
@@ -567,6 +563,16 @@ def with_margins(
 
 _margin = lru_cache(maxsize=64)(stability_margin)
 _Figures = tuple[float | None, float | None]
+"""Margin of a candidate, and its ν-gap from the chosen one."""
+
+
+def _figures_of(
+    plant: GraphSymbol | None, controller: GraphSymbol, centre: GraphSymbol | None
+) -> _Figures:
+    """Those of a candidate's plant; None where it cannot be held."""
+    if plant is None:
+        return None, None
+    return _margin(plant, controller), nu_gap(plant, centre) if centre else None
 
 
 @lru_cache(maxsize=16)  # a family stays for many verdicts

@@ -396,19 +396,12 @@ def _correct_member(  # noqa: PLR0917
     slope = np.zeros(size)
     reach = np.zeros(size)
     lost = np.zeros(size)
+    slopes = work.output_slopes
     for i in range(o):
         offset = size - 3 * o + i
         passing = size - 2 * o + i
         call(code[OUTPUTS], belief, fixed.rest, d, work.p, work.b, work.outputs)
-        call(
-            code[OUTPUT_SLOPES],
-            belief,
-            fixed.rest,
-            d,
-            work.p,
-            work.b,
-            work.output_slopes,
-        )
+        call(code[OUTPUT_SLOPES], belief, fixed.rest, d, work.p, work.b, slopes)
         _shown_by(code, fixed.free, vector, work, i, slope)
         slope[offset] = slope[passing] = 1.0
         expected = max(_expected(covariance, slope, reach), 0.0)
@@ -420,10 +413,9 @@ def _correct_member(  # noqa: PLR0917
         if r.seen[i] and members.takes[b]:
             gained, moves, goes = _read(fixed, r, i, innovation, expected)
             members.gained[b, i] = gained
+            gain = moves / innovation if abs(innovation) > 1e-9 else goes
             for j in range(size):
-                lost[j] = (
-                    moves / innovation if abs(innovation) > 1e-9 else goes
-                ) * reach[j]
+                lost[j] = gain * reach[j]
             _correct_traces(
                 fixed,
                 traces,

@@ -7,7 +7,7 @@ are computed once per call.
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from twinmatch.dynamics.definition import Expression
@@ -53,20 +53,17 @@ class PlantFormulas(NamedTuple):
 def plant_formulas(derived: Derived) -> PlantFormulas:
     """The formulas of derived equations, with exact derivatives."""
     writer = _Writer(derived)
-    by_state = [
-        expression.diff(symbol)
-        for expression in derived.rates
-        for symbol in derived.states
+    by_state = _derivatives(derived.rates, derived.states)
+    by_input = _derivatives(derived.rates, derived.inputs)
+    by_unknown = _derivatives(derived.rates, derived.unknown)
+    output_slopes = [
+        *_derivatives(derived.outputs, derived.states),
+        *_derivatives(derived.outputs, derived.unknown),
+        *_derivatives(derived.outputs, derived.inputs),
     ]
-    by_input = [
-        expression.diff(symbol)
-        for expression in derived.rates
-        for symbol in derived.inputs
-    ]
-    by_unknown = [
-        expression.diff(symbol)
-        for expression in derived.rates
-        for symbol in derived.unknown
+    start_slopes = [
+        *_derivatives(derived.start, derived.measured),
+        *_derivatives(derived.start, derived.unknown),
     ]
     return PlantFormulas(
         n_states=len(derived.states),
@@ -77,23 +74,20 @@ def plant_formulas(derived: Derived) -> PlantFormulas:
         rates=writer.formulas(derived.rates),
         slopes=writer.formulas([*by_unknown, *derived.rates, *by_state, *by_input]),
         outputs=writer.formulas(derived.outputs),
-        output_slopes=writer.formulas(
-            expression.diff(symbol)
-            for symbols in (derived.states, derived.unknown, derived.inputs)
-            for expression in derived.outputs
-            for symbol in symbols
-        ),
+        output_slopes=writer.formulas(output_slopes),
         start=writer.formulas(derived.start),
-        start_slopes=writer.formulas(
-            expression.diff(symbol)
-            for symbols in (derived.measured, derived.unknown)
-            for expression in derived.start
-            for symbol in symbols
-        ),
+        start_slopes=writer.formulas(start_slopes),
         quantities=writer.formulas(derived.quantities.values()),
         switches=writer.formulas(derived.conditions, shared=False),
         constants=writer.constants(),  # the last, when all are known
     )
+
+
+def _derivatives(
+    expressions: Iterable[Expression], symbols: Sequence[Expression]
+) -> list[Expression]:
+    """Of each expression by each symbol, row by row."""
+    return [expression.diff(symbol) for expression in expressions for symbol in symbols]
 
 
 class _Writer:
@@ -104,18 +98,18 @@ class _Writer:
         self._sympy = sympy
         self._printer = PythonCodePrinter({"fully_qualified_modules": True})
         self._constants: dict[Expression, Expression] = {}
-        self._names = {
-            symbol: sympy.Symbol(f"{kind}{i}", real=True)
-            for kind, symbols in (
-                ("x", derived.states),
-                ("u", derived.inputs),
-                ("d", derived.disturbances),
-                ("p", derived.parameters),
-                ("b", derived.switches),
-                ("y", derived.measured),
-            )
-            for i, symbol in enumerate(symbols)
+        symbols_of_kinds = {
+            "x": derived.states,
+            "u": derived.inputs,
+            "d": derived.disturbances,
+            "p": derived.parameters,
+            "b": derived.switches,
+            "y": derived.measured,
         }
+        self._names = {}
+        for kind, symbols in symbols_of_kinds.items():
+            for i, symbol in enumerate(symbols):
+                self._names[symbol] = sympy.Symbol(f"{kind}{i}", real=True)
 
     def formulas(
         self, expressions: Iterable[Expression], *, shared: bool = True

@@ -20,7 +20,7 @@ from twinmatch.dynamics.terms import Kinks, Roots
 PATIENCE: Final = 60.0
 """Time for loading a plant's file, and for one call of its equations, s. Both take well below a second, or
 some seconds if the file reads a table or imports a large library."""
-_FUNCTIONS: Final = (
+FUNCTIONS: Final = (
     "Abs", "Max", "Min", "Piecewise", "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos",
     "cosh", "erf", "erfc", "exp", "log", "sin", "sinh", "tan", "tanh",
 )  # fmt: skip
@@ -347,8 +347,8 @@ def _require(
     for part in sympy.preorder_traversal(formula):
         if isinstance(part, sympy.Function | sympy.Derivative | sympy.Integral):
             name = type(part).__name__
-            if name not in _FUNCTIONS:
-                msg = f"{place} uses {name}, which cannot be compiled; use only {', '.join(_FUNCTIONS)}"
+            if name not in FUNCTIONS:
+                msg = f"{place} uses {name}, which cannot be compiled; use only {', '.join(FUNCTIONS)}"
                 raise PlantError(msg)
     for symbol in sorted(formula.free_symbols - set(allowed), key=str):
         if symbol not in declared.values():

@@ -110,9 +110,12 @@ class Experiment:
         code, memory = law_code(loop, None if loop is None else loop.state(window))
         references = window.inputs if loop is None else window.references
         columns = n_references(model.plant, loop)
-        self.measured = np.concatenate([window.outputs, window.inputs], axis=1)[
-            SKIPPED:
-        ].T.copy()
+        references = signal_rows(
+            model.title, "reference", references[SKIPPED:], columns
+        )
+        all_disturbances = model.disturbance_rows(window.disturbances, len(window))
+        all_measured = np.concatenate([window.outputs, window.inputs], axis=1)
+        self.measured = all_measured[SKIPPED:].T.copy()
         self._kernels = model.kernels_by(self.free)
         given_weights = (
             np.ones(len(self.measured))
@@ -128,32 +131,27 @@ class Experiment:
             place = self.free.index(name)
             expected[place] = value.expected
             pull[place] = value.pull
+        tuned = [known_gains[name] for name in self.free_gains]
         self._data = RunData(
             which=_indices(self._kernels.UNKNOWN, self.free),
-            tuned=np.array(
-                [known_gains[name] for name in self.free_gains], dtype=np.int64
-            ),
+            tuned=np.array(tuned, dtype=np.int64),
             memory=memory,
-            references=signal_rows(
-                model.title, "reference", references[SKIPPED:], columns
-            ),
-            disturbances=model.disturbance_rows(window.disturbances, len(window))[
-                SKIPPED:
-            ],
+            references=references,
+            disturbances=all_disturbances[SKIPPED:],
             measured=self.measured,
             weights=weighed,
             robust=bool(robust),
             period=float(window.period),
         )
+        # an instant output follows from the input of its own sample, any other from the one before
+        inputs_before = window.inputs[SKIPPED - (not model.instant)]
         self._problem = LeastSquares(
             data=self._data,
             base=base.vector,
             places=_indices(model.names, self.free),
             started=_indices(model.states, self.free_starts),
             first=model.row_of("outputs", window.outputs[SKIPPED]),
-            inputs_before=model.row_of(
-                "inputs", window.inputs[SKIPPED - (not model.instant)]
-            ),
+            inputs_before=model.row_of("inputs", inputs_before),
             law=code,
             default_disturbances=model.disturbances,
             corners=model.corners,

@@ -281,11 +281,8 @@ def correct(  # noqa: PLR0917
     for o in range(outputs):
         innovation = y[o] - work.outputs[o]
         for i in range(size):
-            slope[i] = (
-                work.output_slopes[o * n + i]
-                if i < n
-                else work.output_slopes[outputs * n + o * q + which[0, i - n]]
-            )
+            place = o * n + i if i < n else outputs * n + o * q + which[0, i - n]
+            slope[i] = work.output_slopes[place]
             innovation -= slope[i] * moved[i]
         noise_variance = noise[o] * noise[o]
         variance = _expected(covariance, slope, reach) + noise_variance
@@ -484,21 +481,14 @@ def track(  # noqa: PLR0917
     noises = np.zeros(size)
     moved = np.zeros((n, size))
     next_states = np.zeros(n)
+    output_slopes = work.output_slopes
     slope[offset] = slope[passing] = 1.0
     _use(code, free, at, vector, work)
     for k in range(u.size):
-        disturbances = readings.disturbances[k]
+        d = readings.disturbances[k]
         inputs[0] = fixed.rest + (u[k] - fixed.rest) * (1.0 + at[share])
-        call(code[OUTPUTS], at, inputs, disturbances, work.p, work.b, work.outputs)
-        call(
-            code[OUTPUT_SLOPES],
-            at,
-            inputs,
-            disturbances,
-            work.p,
-            work.b,
-            work.output_slopes,
-        )
+        call(code[OUTPUTS], at, inputs, d, work.p, work.b, work.outputs)
+        call(code[OUTPUT_SLOPES], at, inputs, d, work.p, work.b, output_slopes)
         for i in range(n):
             slope[i] = work.output_slopes[i]
         for j in range(m):
@@ -530,9 +520,7 @@ def track(  # noqa: PLR0917
             at[n + j] = min(max(at[n + j], free.least[j]), free.most[j])
         at[share] = min(max(at[share], -1.0), 1.0)
         _use(code, free, at, vector, work)
-        way = _move_belief(
-            code, fixed, at, vector, work, u[k], disturbances, moved, next_states
-        )
+        way = _move_belief(code, fixed, at, vector, work, u[k], d, moved, next_states)
         for i in range(size):
             noises[i] = drift.each[i] ** 2 * fixed.period
             if k < opening.lasting:

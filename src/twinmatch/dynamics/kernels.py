@@ -158,15 +158,8 @@ def prepare(code: Code, vector: FloatArray, work: Work) -> None:
     """Change the parameters."""
     for i in range(code[N_PARAMETERS]):
         work.p[i] = vector[i]
-    call(
-        code[CONSTANTS],
-        vector,
-        vector,
-        vector,
-        work.p,
-        work.b,
-        work.p[code[N_PARAMETERS] :],
-    )
+    constants = work.p[code[N_PARAMETERS] :]
+    call(code[CONSTANTS], vector, vector, vector, work.p, work.b, constants)
 
 
 @compiled(inside=True)
@@ -421,16 +414,15 @@ def slopes_at(
     call(code[SLOPES], x, u, d, work.p, work.b, slopes)
     call(code[OUTPUT_SLOPES], x, u, d, work.p, work.b, work.output_slopes)
     rates = slopes[n * q : n * q + n].copy()
-    of_outputs = slopes[n * q + n :]
-    return (
-        rates,
-        of_outputs[: n * n].copy().reshape((n, n)),
-        of_outputs[n * n :].copy().reshape((n, m)),
-        slopes[: n * q].copy().reshape((n, q)),
-        work.output_slopes[: o * n].copy().reshape((o, n)),
-        work.output_slopes[o * n : o * (n + q)].copy().reshape((o, q)),
-        work.output_slopes[o * (n + q) :].copy().reshape((o, m)),
-    )
+    of_rates = slopes[n * q + n :]
+    fx = of_rates[: n * n].copy().reshape((n, n))
+    fu = of_rates[n * n :].copy().reshape((n, m))
+    fb = slopes[: n * q].copy().reshape((n, q))
+    of_outputs = work.output_slopes
+    hx = of_outputs[: o * n].copy().reshape((o, n))
+    hb = of_outputs[o * n : o * (n + q)].copy().reshape((o, q))
+    hu = of_outputs[o * (n + q) :].copy().reshape((o, m))
+    return rates, fx, fu, fb, hx, hb, hu
 
 
 @compiled
@@ -484,19 +476,13 @@ def step_count(  # noqa: PLR0917
     work = work_for(code, vector)
     slopes = np.empty(n * (q + 1 + n + code[N_INPUTS]))
     for k in range(corners.shape[0]):
+        x = corners[k]
         for drive_row in range(drives.shape[0]):
+            u = drives[drive_row]
             for branch in range(2 ** min(switched, MAX_SWITCHES)):
                 for i in range(switched):
                     work.b[i] = float(branch >> i & 1)
-                call(
-                    code[SLOPES],
-                    corners[k],
-                    drives[drive_row],
-                    d,
-                    work.p,
-                    work.b,
-                    slopes,
-                )
+                call(code[SLOPES], x, u, d, work.p, work.b, slopes)
                 fx = slopes[n * q + n : n * q + n + n * n].reshape(n, n)
                 fastest = max(fastest, spectral_bound(fx))
     count = np.ceil(period * fastest / limit)

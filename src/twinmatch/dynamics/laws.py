@@ -233,9 +233,8 @@ def gain_slopes(  # noqa: PLR0912, PLR0917
         place = tuned[t]
         if law[KIND] == PID:
             error = references[k, 0] - y[0]
-            change = ((-y[0] if law[ON_MEASUREMENT] != 0.0 else error) - z[1]) / law[
-                PERIOD
-            ]
+            moving = -y[0] if law[ON_MEASUREMENT] != 0.0 else error
+            change = (moving - z[1]) / law[PERIOD]
             free = 1.0 if law[LOW] < u[0] < law[HIGH] else 0.0
             unlimited = law[PROPORTIONAL] * error + z[0] + law[DERIVATIVE] * change
             derivative = 0.0

@@ -142,21 +142,10 @@ class PidGains(Law):
     @property
     def code(self) -> LawCode:
         """The same numbers for compiled code."""
-        return np.array(
-            [
-                PID,
-                self.period,
-                1,
-                self.low,
-                self.high,
-                self.proportional,
-                self.integral,
-                self.derivative,
-                self.tracking,
-                self.on_measurement,
-            ],
-            dtype=np.float64,
-        )
+        head = [PID, self.period, 1, self.low, self.high]
+        gains = [self.proportional, self.integral, self.derivative]
+        numbers = [*head, *gains, self.tracking, self.on_measurement]
+        return np.array(numbers, dtype=np.float64)
 
     @property
     def tracking(self) -> float:
@@ -336,21 +325,10 @@ class TwoLevel(Law):
     @property
     def code(self) -> LawCode:
         """The same numbers for compiled code."""
-        return np.array(
-            [
-                TWO_LEVEL,
-                self.period,
-                1,
-                self.off,
-                self.on,
-                self.below,
-                self.above,
-                self.least_on,
-                self.least_off,
-                self.most_on,
-            ],
-            dtype=np.float64,
-        )
+        head = [TWO_LEVEL, self.period, 1]
+        levels = [self.off, self.on, self.below, self.above]
+        times = [self.least_on, self.least_off, self.most_on]
+        return np.array([*head, *levels, *times], dtype=np.float64)
 
     def state(self, window: Window) -> FloatArray:
         """Its state after the window's second sample, shape (3,): whether it is on, for how long (since the
@@ -512,15 +490,9 @@ class LinearLaw(Law):
             ]
         )
         drive_limits = np.zeros(0) if self.drives is None else self.drives.ravel()
-        return np.concatenate(
-            [
-                [LINEAR, self.period, m],
-                self.low,
-                self.high,
-                numbers.ravel(),
-                drive_limits,
-            ]
-        )
+        head = [LINEAR, self.period, m]
+        flat = numbers.ravel()
+        return np.concatenate([head, self.low, self.high, flat, drive_limits])
 
     def state(self, window: Window) -> FloatArray:
         """Its state after the window's second sample, shape (q,): the one with which it gives the recorded

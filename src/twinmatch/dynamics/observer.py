@@ -362,15 +362,14 @@ class ObserverBank:
         for i, observer in enumerate(observers):
             n, m = self._sizes[i]
             self._vectors[i, :m] = all_arguments[i].vector
-            observer.move_into(
-                ObserverArrays(
-                    states=self._states[i, :n],
-                    joint=self._joints[i, : n * n].reshape(n, n),
-                    process_noise=self._noises[i, :n],
-                    factor=self._factors[i],
-                    disturbances=self._rows[i],
-                )
+            arrays = ObserverArrays(
+                states=self._states[i, :n],
+                joint=self._joints[i, : n * n].reshape(n, n),
+                process_noise=self._noises[i, :n],
+                factor=self._factors[i],
+                disturbances=self._rows[i],
             )
+            observer.move_into(arrays)
 
     def push(
         self,

@@ -49,11 +49,8 @@ class SensorRealisation:
                 f"sensor realisation: noise has shape {self.noise.shape} and frozen {self.frozen.shape}; "
                 "give one value per sample in both"
             )
-        if not (
-            np.isfinite(self.noise).all()
-            and math.isfinite(self.resolution)
-            and self.resolution >= 0
-        ):
+        has_resolution = math.isfinite(self.resolution) and self.resolution >= 0
+        if not (has_resolution and np.isfinite(self.noise).all()):
             msg = "sensor realisation: noise and resolution must be finite, the resolution not negative"
             raise PlantError(msg)
         self.noise.flags.writeable = False

@@ -273,9 +273,8 @@ def quantities(
     """The plant's other quantities (currents, heat flows) at some states and input, by name."""
     model = parameters.model
     row = model.disturbance_row(disturbances)
-    values = model.kernels.outputs_at(
-        parameters.vector, states, model.row_of("inputs", input), row
-    )[1]
+    u = model.row_of("inputs", input)
+    _, values = model.kernels.outputs_at(parameters.vector, states, u, row)
     return dict(zip(model.kernels.QUANTITIES, values.tolist(), strict=True))
 
 

@@ -231,18 +231,11 @@ class DelayLine:
 
         n = len(self._states)
         root = [sympy.sqrt(2 * i + 1) for i in range(n)]
-        rates = {
-            state: root[i]
-            * (
-                (-1) ** i * signal
-                - sum(
-                    (1 if i < j else (-1) ** (i - j)) * root[j] * self._states[j]
-                    for j in range(n)
-                )
-            )
-            / dead_time
-            for i, state in enumerate(self._states)
-        }
+        rates = {}
+        for i, state in enumerate(self._states):
+            signs = [1 if i < j else (-1) ** (i - j) for j in range(n)]
+            stored = sum(signs[j] * root[j] * self._states[j] for j in range(n))
+            rates[state] = root[i] * ((-1) ** i * signal - stored) / dead_time
         value = sum(root[i] * state for i, state in enumerate(self._states))
         first, *later = self._states
         return Delayed(

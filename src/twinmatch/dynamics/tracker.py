@@ -118,14 +118,12 @@ class Assumed:
             ]
         )
         state_scales = np.array([state.scale for state in model.declared_states])
-        slopes = model.kernels.slopes_at(
-            parameters.vector,
-            begin(parameters, np.zeros(noise.size)),
-            model.rest,
-            model.disturbances,
-        )[4]
+        at_start = begin(parameters, np.zeros(noise.size))
+        *_, by_states, _, _ = model.kernels.slopes_at(
+            parameters.vector, at_start, model.rest, model.disturbances
+        )
         with np.errstate(divide="ignore"):
-            by_noise = np.min(noise[:, np.newaxis] / np.abs(slopes), axis=0)
+            by_noise = np.min(noise[:, np.newaxis] / np.abs(by_states), axis=0)
         shown = np.isfinite(by_noise)
         by_noise[~shown] = 0.0
         scale = slow_scale(model.plant, period)
@@ -134,26 +132,22 @@ class Assumed:
         drift = np.where(
             shown, _MODEL_ERROR[0] * by_noise, _MODEL_ERROR[1] * state_scales
         )
+        first_of_states = np.where(shown, 3.0 * by_noise, 0.5 * state_scales)
+        first_of_parameters = np.where(tracked.logged, _LOG_SPREAD, _SPREAD * scales)
+        # A plant sampled faster is assumed to be faster.
+        drift_of_states = drift / math.sqrt(period)
+        drift_of_parameters = _MODEL_ERROR[2] * scales / math.sqrt(scale)
+        keeps_push = math.exp(-period / push_time)
+        keeps_offset = math.exp(-period / (_OFFSET_TIME * scale))
         return cls(
             free=tracked,
             shown=shown,
-            first=np.concatenate(
-                [
-                    np.where(shown, 3.0 * by_noise, 0.5 * state_scales),
-                    np.where(tracked.logged, _LOG_SPREAD, _SPREAD * scales),
-                ]
-            ),
-            # A plant sampled faster is assumed to be faster.
-            drift=np.concatenate(
-                [drift / math.sqrt(period), _MODEL_ERROR[2] * scales / math.sqrt(scale)]
-            ),
+            first=np.concatenate([first_of_states, first_of_parameters]),
+            drift=np.concatenate([drift_of_states, drift_of_parameters]),
             fading=fading,
             stray=fading * math.sqrt(2.0 / push_time),
             swift=float(_MODEL_ERROR[4]),
-            keeps=(
-                math.exp(-period / push_time),
-                math.exp(-period / (_OFFSET_TIME * scale)),
-            ),
+            keeps=(keeps_push, keeps_offset),
         )
 
 

@@ -169,18 +169,10 @@ class VirtualRig(VirtualPlantTime):
         TwinmatchError: the board or the camera cannot be created.
     """
 
-    KINDS: ClassVar = frozenset(
-        (
-            *VirtualPlant.FAULTS,
-            *OF_READINGS,
-            "sensor-frozen",
-            "camera-gone",
-            "garbage-camera",
-            "driver-fault",
-            "board-hung",
-            "cable-pulled",
-            "garbage-serial",
-        )
+    KINDS: ClassVar = frozenset(VirtualPlant.FAULTS).union(
+        OF_READINGS,
+        ("sensor-frozen", "camera-gone", "garbage-camera"),
+        ("driver-fault", "board-hung", "cable-pulled", "garbage-serial"),
     )
     _FEEDBACK_EVERY: Final = 100
     """Interval at which the board's current feedback is updated, ms of plant time."""

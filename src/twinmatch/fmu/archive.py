@@ -394,8 +394,8 @@ def draft(file: Path, described: Described, plant: type[Plant]) -> str:
         described
     )
     signals = _linked_signals(described, plant)
-    states = _like_named(plant.states, _Names(states_of_fmu))
-    parameters = _like_named(plant.parameters, _Names(described.of("parameter")))
+    states = _like_named(plant.states, VariableNames(states_of_fmu))
+    parameters = _like_named(plant.parameters, VariableNames(described.of("parameter")))
     links = signals | states | parameters
     linked = {
         name for name, variable in (states | parameters).items() if variable is not None
@@ -425,9 +425,9 @@ def _linked_signals(
     """The FMU's variables for output, drive and disturbances: those with their names, or the only ones."""
     outputs = described.of("output")
     inputs = described.of("input")
-    names_of_inputs = _Names(inputs)
+    names_of_inputs = VariableNames(inputs)
     links = {
-        plant.output.name: _Names(outputs).like(plant.output),
+        plant.output.name: VariableNames(outputs).like(plant.output),
         plant.drive.name: names_of_inputs.like(plant.drive),
     }
     if len(outputs) == 1:
@@ -438,7 +438,7 @@ def _linked_signals(
 
 
 def _like_named(
-    quantities: Mapping[str, Any], names: _Names
+    quantities: Mapping[str, Any], names: VariableNames
 ) -> dict[str, Variable | None]:
     """For each quantity of the plant the variable with its name or symbol."""
     return {name: names.like(quantity) for name, quantity in quantities.items()}
@@ -487,7 +487,7 @@ def _line(variable: Variable) -> str:
     return " ".join(f"{variable.name}{start}{unit}{text}".split())
 
 
-class _Names:
+class VariableNames:
     """Variables by their names and the last parts of these, ignoring case and punctuation."""
 
     def __init__(self, variables: Sequence[Variable]) -> None:

@@ -104,7 +104,7 @@ class Monitor:
         self._refused = 0  # refused readings in a row
         self._refused_at = -2  # index of the newest one
         self._open = False  # whether the last alarm is still on
-        self._slow_alarm = False  # whether a slow change raised it
+        self._is_tracked = False  # whether tracking raised it, and not a trace
 
     def _begin_with(self, settings: HealthSettings) -> None:
         """Judge the drive's effect by the settings' twin."""
@@ -449,7 +449,7 @@ class Monitor:
         return (
             self._open
             and self._alarms[-1].fault is Fault.DRIFT
-            and not self._slow_alarm
+            and not self._is_tracked
         )
 
     def _learn(self) -> None:
@@ -487,14 +487,14 @@ class Monitor:
             if (
                 self._alarms[-1].fault in _OF_THE_DRIVE
                 and self._acts_within_sample
-                and not self._slow_alarm
+                and not self._is_tracked
             ):
                 # stretches that reach back into the fault show it still
                 self._restart_traces()
                 self._slow.restart()
             if self._brief:
                 return self._close(self._refused_at)
-            return self._close(index - (1 if self._slow_alarm else self._quiet))
+            return self._close(index - (1 if self._is_tracked else self._quiet))
         return None
 
     def _raise(self, index: int, evidence: Evidence) -> Alarm | None:
@@ -511,7 +511,7 @@ class Monitor:
             ):
                 # the drive's effect has reported it already
                 self._slow.mark_reported(index)
-                self._slow_alarm = self._slow_alarm or on is Fault.DRIFT
+                self._is_tracked = self._is_tracked or on is Fault.DRIFT
             preceding = (
                 frozenset(Fault) - {_REFUSED} if self._brief else PRECEDENCE.get(on, ())
             )
@@ -548,7 +548,7 @@ class Monitor:
     def _begun(self, index: int, evidence: Evidence) -> None:
         """Have every part know of an alarm that has begun."""
         self._open = True
-        self._slow_alarm = evidence.tracked
+        self._is_tracked = evidence.tracked
         self._balance.forget_newest()
         self._slow.propose(None)
         if evidence.fault is Fault.DISTURBANCE and not self._acts_within_sample:
@@ -567,7 +567,7 @@ class Monitor:
         proven = self._proofs * self.settings.pace
         if self._alarms[-1].withdrawn:
             return True
-        if self._slow_alarm:
+        if self._is_tracked:
             return self._slow.over(self._index)
         if (
             fault in _OF_THE_DRIVE

@@ -114,7 +114,7 @@ def _run_live(live: Live) -> int:
     live.door = Door(settings)
     view = view_on(live.console, "live", settings.period)
     with lease(PATIENCE if live.plan.in_step else None):
-        code = _LiveRun(live, view).run()
+        code = LiveRun(live, view).run()
     for session in filter(Path.exists, live.sessions):
         view.say(f"recorded: {session}")
     live.settle(lambda _: True)
@@ -192,7 +192,9 @@ _SOURCES: Final = {"rig": "profile", "virtual_rig": "virtual rig"}
 """Processes with which a run ends, and what has then ended."""
 
 
-class _LiveRun(Supervised):
+class LiveRun(Supervised):
+    """The processes beside a live rig, and when they end."""
+
     DISCOVERY: Final = 2.0
     """Time to discover a graph that is already running, s."""
     SETTLE: Final = 180.0

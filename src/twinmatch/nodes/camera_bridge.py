@@ -207,6 +207,8 @@ class CameraBridge(TwinmatchNode):
         wall_now = time.monotonic()
         rate = (frames - self._counted[0]) / (wall_now - self._counted[1])
         self._counted = (frames, wall_now)
+        errors = status.errors
+        frame_errors = [errors[name] for name in errors if name.startswith("Frame")]
         shown_values = {
             "link": status.state.value,
             "frame rate": f"{rate:.1f} Hz",
@@ -215,10 +217,8 @@ class CameraBridge(TwinmatchNode):
             "missed frames": status.missed,
             "reconnects": max(0, status.connections - 1),
             "server restarts": status.restarts,
-            **status.errors,
-            "bad frames": sum(
-                n for name, n in status.errors.items() if name.startswith("Frame")
-            ),
+            **errors,
+            "bad frames": sum(frame_errors),
         }
         for name, value in shown_values.items():
             health.set(name, value)

@@ -235,12 +235,8 @@ def _check_match(message: Any) -> None:
     )
     if len(set(message.free)) != len(message.free):
         raise MessageError("free: a name is given twice")
-    if any(
-        low > high
-        for low, high in zip(
-            message.intervals[::2], message.intervals[1::2], strict=True
-        )
-    ):
+    ends = zip(message.intervals[::2], message.intervals[1::2], strict=True)
+    if any(low > high for low, high in ends):
         raise MessageError("intervals: a low end is above its high end")
     if message.status == message.ACCEPTED:
         _check_accepted(message, len(message.free))

@@ -481,19 +481,10 @@ class GatedNode(TwinmatchNode):
             else "waiting for a fresh command and temperature"
         )
         unwatched = armed and time.monotonic() - self._sampled_at > UNWATCHED
-        for failed, key, message in (
-            (
-                self.gate.clock_stopped,
-                "clock",
-                "the clock stands still; nothing is driven",
-            ),
-            (
-                unwatched,
-                "watch",
-                "no messages on plant/sample; runaway is not monitored",
-            ),
-        ):
-            health.flag_if(failed, key, Level.WARN, message)
+        stopped = "the clock stands still; nothing is driven"
+        health.flag_if(self.gate.clock_stopped, "clock", Level.WARN, stopped)
+        unseen = "no messages on plant/sample; runaway is not monitored"
+        health.flag_if(unwatched, "watch", Level.WARN, unseen)
         return super().report()
 
     def note_fault(self) -> None:

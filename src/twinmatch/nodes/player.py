@@ -144,14 +144,14 @@ class Player(TwinmatchNode):
             Path(self.values["session"]), self.values["topic"] or None
         )
         self._prefix = self._session.topic.removesuffix(SAMPLE)
-        self._publishers_of = {
-            topic.name: self.create_publisher(
-                class_of(topic), self._relative(topic.name), playing_profile(topic.qos)
-            )
-            for topic in self._session.topics
-            if self._relative(topic.name).startswith(tuple(self.values["topics"]))
-            and self._relative(topic.name) not in FROM_TWIN
-        }
+        chosen = tuple(self.values["topics"])
+        self._publishers_of = {}
+        for topic in self._session.topics:
+            name = self._relative(topic.name)
+            if name.startswith(chosen) and name not in FROM_TWIN:
+                self._publishers_of[topic.name] = self.create_publisher(
+                    class_of(topic), name, playing_profile(topic.qos)
+                )
         if self._session.topic not in self._publishers_of:
             missing = self._relative(self._session.topic)
             raise PlayerError(

@@ -129,14 +129,15 @@ class Nodes:
     def __init__(self, context: Context | None = None) -> None:
         """Nothing is created before `start`; without a `context` it is that of the process."""
         self._context = context
-        self._nodes: list[TwinmatchNode] = []
+        self.nodes: list[TwinmatchNode] = []
+        """Those that have been created, in their order."""
         self._executor: Any = None  # created once ROS has started
         self._step: InStep | None = None
 
     @property
     def closing(self) -> int:
         """Time that `close` may take besides `TEARDOWN`, s."""
-        return max((node.CLOSING for node in self._nodes), default=0)
+        return max((node.CLOSING for node in self.nodes), default=0)
 
     @property
     def has_executor(self) -> bool:
@@ -161,7 +162,7 @@ class Nodes:
         self._executor = executor_of(self._context)
         for kind in kinds:
             node = kind(self._context)
-            self._nodes.append(node)
+            self.nodes.append(node)
             self._step = self._step or step_of(node)
             node.step = self._step
             node.open()
@@ -176,18 +177,16 @@ class Nodes:
             Exception: what ended a node.
         """
         self._executor.spin_once(timeout_sec=STEP)
-        for part in (*self._nodes, self._step):
+        for part in (*self.nodes, self._step):
             if part is not None and part.failure is not None:
                 raise part.failure
-        ended = [node.exit_code for node in self._nodes if node.exit_code is not None]
-        return (
-            ended[0] if ended and not any(node.busy for node in self._nodes) else None
-        )
+        ended = [node.exit_code for node in self.nodes if node.exit_code is not None]
+        return ended[0] if ended and not any(node.busy for node in self.nodes) else None
 
     def linger(self) -> None:
         """Let the nodes take what was sent before the end and has not reached their callbacks yet."""
         until = time.monotonic() + max(
-            (node.LINGER for node in self._nodes), default=0.0
+            (node.LINGER for node in self.nodes), default=0.0
         )
         while time.monotonic() < until:
             self.spin_once()
@@ -214,18 +213,18 @@ class Nodes:
     def _end_threads(self) -> bool:
         """End sources, workers and connections, and join their threads."""
         steps = [] if self._step is None else [self._step.close]
-        return end_in_order(*steps, *(node.close for node in self._nodes))
+        return end_in_order(*steps, *(node.close for node in self.nodes))
 
     def _stop_executor(self) -> None:
         if self.has_executor:
-            for node in self._nodes:
+            for node in self.nodes:
                 self._executor.remove_node(node)
             self._executor.shutdown(timeout_sec=1.0)
             self._executor = None
 
     def _destroy_nodes(self) -> None:
-        end_in_order(*(node.destroy_node for node in self._nodes))
-        self._nodes.clear()
+        end_in_order(*(node.destroy_node for node in self.nodes))
+        self.nodes.clear()
 
     def _shut_context_down(self) -> None:
         rclpy.try_shutdown(context=self._context)

@@ -91,17 +91,17 @@ def offered(endpoints: Sequence[Any]) -> Qos:
 
 def profile_of(qos: Qos, depth: int = DEPTH) -> QoSProfile:
     """The profile of this QoS with a queue of `depth` messages; by default a recorder's."""
-    reliable = qos.reliability == "reliable"
-    latched = qos.durability == "transient_local"
+    reliability = ReliabilityPolicy.BEST_EFFORT
+    if qos.reliability == "reliable":
+        reliability = ReliabilityPolicy.RELIABLE
+    durability = DurabilityPolicy.VOLATILE
+    if qos.durability == "transient_local":
+        durability = DurabilityPolicy.TRANSIENT_LOCAL
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
-        reliability=ReliabilityPolicy.RELIABLE
-        if reliable
-        else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL
-        if latched
-        else DurabilityPolicy.VOLATILE,
+        reliability=reliability,
+        durability=durability,
     )
 
 
@@ -135,12 +135,12 @@ def fields_of(kind: str) -> Mapping[str, Field]:
         MessageTypeError: it is not installed.
     """
     return {
-        n: _field(text)
+        n: field_of(text)
         for n, text in message_class(kind).get_fields_and_field_types().items()
     }
 
 
-def _field(text: str) -> Field:
+def field_of(text: str) -> Field:
     """A field from ROS's notation of its type: `double`, `sequence<std_msgs/Header, 3>`, `float[9]`."""
     match = _KIND.match(text)
     base = match["base"] if match else text
@@ -316,13 +316,11 @@ class ForeignTopics:
 
     def _alternatives(self) -> str:
         """The foreign topics that exist, for the error about one that does not."""
-        foreign = [
-            f"{name} ({', '.join(kinds)})"
-            for name, kinds in sorted(self._node.get_topic_names_and_types())
-            if not name.startswith(_OURS)
-            and name not in ELSEWHERE
-            and self._node.count_publishers(name)
-        ]
+        foreign = []
+        for name, kinds in sorted(self._node.get_topic_names_and_types()):
+            is_ours = name.startswith(_OURS) or name in ELSEWHERE
+            if not is_ours and self._node.count_publishers(name):
+                foreign.append(f"{name} ({', '.join(kinds)})")
         count_of_further = (
             f" and {len(foreign) - _MAX_LISTED} more"
             if len(foreign) > _MAX_LISTED

@@ -23,7 +23,7 @@ from itertools import chain
 from operator import attrgetter
 from pathlib import Path
 from types import CodeType, ModuleType
-from typing import Final
+from typing import Final, NamedTuple
 
 from twinmatch.dynamics import Law, Plant, PlantError, channel
 from twinmatch.dynamics.definition import PlantType
@@ -36,12 +36,22 @@ from twinmatch.dynamics.equations import (
 )
 
 GROUP: Final = "twinmatch.plants"
-_MODULES: Final = "twinmatch_plant_file_"
+MODULE_PREFIX: Final = "twinmatch_plant_file_"
 """Prefix of the names of modules loaded from a path."""
-_BY_FILE: Final[dict[Path, type[Plant]]] = {}
-_BY_NAME: Final[dict[str, type[Plant]]] = {}
-_WRITTEN: Final[dict[str, str]] = {}
-"""The path as the user wrote it, by name of the plant."""
+
+
+class PlantFilesLoaded(NamedTuple):
+    """The plant files that this process has run."""
+
+    by_file: dict[Path, type[Plant]]
+    """The plant in each."""
+    by_name: dict[str, type[Plant]]
+    """The plants by their names, which are unique."""
+    written: dict[str, str]
+    """The path as the user wrote it, by name of the plant."""
+
+
+LOADED: Final = PlantFilesLoaded({}, {}, {})
 
 
 def installed_names() -> tuple[str, ...]:
@@ -95,8 +105,8 @@ def load_plant(name: str) -> type[Plant]:
         file's.
     """
     path = Path(name).expanduser().resolve()
-    if path in _BY_FILE:
-        return _BY_FILE[path]
+    if path in LOADED.by_file:
+        return LOADED.by_file[path]
     if not path.is_file():
         raise PlantError(
             f"{name}: there is no such file (looked for {path}); give the file with the plant"
@@ -104,14 +114,14 @@ def load_plant(name: str) -> type[Plant]:
     if path.suffix != ".py":
         raise PlantError(f"{name}: is not a Python file; give one that ends in .py")
     plant = _plant_in(_run(path, name), name)
-    other_file = _WRITTEN.get(plant.name)
+    other_file = LOADED.written.get(plant.name)
     if other_file is not None:
         raise PlantError(
             f"{name}: its plant is called {plant.name}, like that of {other_file}; give one of them another "
             "name"
         )
-    _BY_FILE[path] = _BY_NAME[plant.name] = plant
-    _WRITTEN[plant.name] = name
+    LOADED.by_file[path] = LOADED.by_name[plant.name] = plant
+    LOADED.written[plant.name] = name
     return plant
 
 
@@ -134,19 +144,19 @@ def load_law(name: str) -> Law:
 
 def loaded(name: str) -> type[Plant] | None:
     """The plant of this name loaded from a file; also found by the file's name, in any folder."""
-    if name in _BY_NAME:
-        return _BY_NAME[name]
+    if name in LOADED.by_name:
+        return LOADED.by_name[name]
     if is_plant_file(name):
         file = name.replace("\\", "/").rpartition("/")[2]
         return next(
-            (plant for path, plant in _BY_FILE.items() if path.name == file), None
+            (plant for path, plant in LOADED.by_file.items() if path.name == file), None
         )
     return None
 
 
 def source_of(plant: type[Plant]) -> str:
     """The file of a plant, as the user wrote it; empty if it was imported."""
-    return _WRITTEN[plant.name] if _BY_NAME.get(plant.name) is plant else ""
+    return LOADED.written[plant.name] if LOADED.by_name.get(plant.name) is plant else ""
 
 
 class _FromSource(SourceFileLoader):
@@ -159,7 +169,7 @@ class _FromSource(SourceFileLoader):
 
 def _run(path: Path, name: str) -> ModuleType:
     """Import the module in a file."""
-    module_name = _MODULES + hashlib.sha256(str(path).encode()).hexdigest()[:16]
+    module_name = MODULE_PREFIX + hashlib.sha256(str(path).encode()).hexdigest()[:16]
     loader = _FromSource(module_name, str(path))
     spec = importlib.util.spec_from_file_location(module_name, path, loader=loader)
     if spec is None or spec.loader is None:
@@ -234,9 +244,13 @@ def _reduced(plant: type[Plant]) -> str | tuple[object, ...]:
     """Pickle a plant by the path of its file, or, like any class, by its name."""
     if plant.channel_of is not None:
         return channel, plant.channel_of
-    if plant.__module__.startswith(_MODULES):
+    if plant.__module__.startswith(MODULE_PREFIX):
         path = next(
-            (path for path, loaded_plant in _BY_FILE.items() if loaded_plant is plant),
+            (
+                path
+                for path, loaded_plant in LOADED.by_file.items()
+                if loaded_plant is plant
+            ),
             None,
         )
         if path is not None:

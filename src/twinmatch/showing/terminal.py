@@ -112,8 +112,9 @@ class Screen:
         self._draw()
 
     def close(self, *, wipe: bool = False) -> None:
-        """Draw a last time and leave it there, or wipe it away; a second call does nothing."""
-        if not self._over:
+        """Draw a last time and leave it there, or wipe it away; a second call does nothing, nor does one for a
+        run that failed before it was opened."""
+        if self._compile in told:
             told.remove(self._compile)
         self._over = True
         self._live.transient = wipe
