@@ -196,7 +196,7 @@ def rows_of_recording(
 ) -> Iterator[tuple[str, HorizonRow]]:
     """The rows of each output of a recording."""
     with tempfile.TemporaryDirectory() as folder:
-        session = opened(Path(folder))
+        session = replace(opened(Path(folder)), name=name)
     terms = terms_from_files(session)
     listener = Listener(name, terms.settings, Choices())
     origins = TrustedOrigins(listener)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -9,13 +10,25 @@ from threadpoolctl import threadpool_limits
 
 from tests.golden import SOURCES, MissingSourceError, compare, digest
 from tests.golden.sources import documents_of
-from tests.support.documented_trust import check_trust
+from tests.support.documented_trust import Document, check_trust
+from tests.support.promises import page, said
 
 LONG = {
     "fmu": pytest.mark.long(
         "compiles an FMU, and judges an hour with it in a process of its own"
     )
 }
+
+
+def check_page_of_incubator(verdicts: Sequence[Document]) -> None:
+    """Check when the page says that its second run has a candidate and is trusted; samples are 3 s apart."""
+    text = page("incubator.md")
+    led = [verdict["sample"] for verdict in verdicts if verdict["leader"]]
+    trusted = [verdict["sample"] for verdict in verdicts if verdict["trusted"]]
+    minutes_of_candidate = said(text, r"After (\w+) minutes of the second run")
+    minutes_of_trust = said(text, r"there is a candidate, after (\w+) it is `trusted`")
+    assert round(led[0] * 3.0 / 60.0) == minutes_of_candidate
+    assert round(trusted[0] * 3.0 / 60.0) == minutes_of_trust
 
 
 @pytest.mark.parametrize(
@@ -37,6 +50,9 @@ def test_results_are_the_golden_ones(name: str, tmp_path: Path) -> None:
             documents = documents_of(name, tmp_path)
     except MissingSourceError as error:
         pytest.skip(str(error))
-    check_trust(documents.get("replay", {}).get("verdicts", []))
+    verdicts = documents.get("replay", {}).get("verdicts", [])
+    check_trust(verdicts)
+    if name == "incubator_second":
+        check_page_of_incubator(verdicts)
     different, compared = compare(name, digest(documents))
     assert not different, f"compared: {compared}"

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 import random
-import re
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 import paho.mqtt.client
@@ -18,6 +20,7 @@ import yaml
 from tests.support.faulty_kit import Simulated, run
 from tests.support.places import PROJECT
 from tests.support.processes import no_plant_files
+from tests.support.promises import files_of, page, said
 from twinmatch.comparing import TrustLevel
 from twinmatch.parameters.sampler import sampler_values, sources_of
 from twinmatch.parameters.twin import read_settings
@@ -26,29 +29,6 @@ from twinmatch.sampling import payloads
 from twinmatch.sampling.sources import SignalMap
 from twinmatch.signals import Sample
 from twinmatch.twin import Twin, TwinSettings
-
-IN_WORDS = {"two": 2, "four": 4, "ten": 10}
-
-
-def page(name: str) -> str:
-    return (PROJECT / "docs" / name).read_text(encoding="utf-8")
-
-
-def files_of(text: str) -> dict[str, str]:
-    """The files that a page gives, by their names."""
-    return dict(
-        re.findall(
-            r"^```(?:python|yaml) (\w+\.\w+)\n(.*?)^```$",
-            text,
-            re.MULTILINE | re.DOTALL,
-        )
-    )
-
-
-def said(text: str, pattern: str) -> float:
-    """The number that a page says, in digits or as a word."""
-    [word] = re.findall(pattern, text)
-    return float(IN_WORDS.get(word, word))
 
 
 class EndOfTimeError(Exception):
@@ -85,10 +65,14 @@ class Home:
 
 
 class Outcomes:
-    """When the first verdict, match, trusted verdict and leader came, s, and what the newest match found."""
+    """When the first verdict, match, trusted verdict and leader came, and each fault, s, and what the newest
+    match found."""
 
     def __init__(self, samples: Iterator[Sample], settings: TwinSettings) -> None:
         self.first: dict[str, float] = {}
+        self.faults: dict[str, float] = {}
+        self.trusted: dict[float, tuple[float, ...]] = {}
+        """The trusted horizons after each verdict, s."""
         self.found: dict[str, float] = {}
         twin = Twin(settings)
         for sample in samples:
@@ -97,9 +81,13 @@ class Outcomes:
             if outcome.match is not None and outcome.match.match.accepted:
                 self.first.setdefault("match", now)
                 matched = outcome.match.match.parameters
-                self.found = {name: matched[name] for name in outcome.match.match.free}
+                names, _ = outcome.match.match.of_parameters()
+                self.found = {name: matched[name] for name in names}
             for verdict in outcome.verdicts:
                 self.first.setdefault("verdict", now)
+                self.trusted[now] = verdict.trusted
+                if verdict.fault:
+                    self.faults.setdefault(verdict.fault, now)
                 if verdict.leader:
                     self.first.setdefault("leader", now)
                 if verdict.level is TrustLevel.TRUSTED:
@@ -277,3 +265,88 @@ def test_the_kit_is_matched_after_as_many_minutes_as_its_page_says() -> None:
     )
     assert outcomes.first["match"] <= 60.0 * (minutes + 1.0)
     assert outcomes.first["leader"] <= 60.0 * (minutes + 1.0)
+
+
+class LoggedPage(NamedTuple):
+    """What a page's program logged, as its map reads it, and the page's plant."""
+
+    samples: list[Sample]
+    settings: TwinSettings
+
+
+@contextmanager
+def logged(
+    name: str, plant: str, columns: Sequence[str], period: float, folder: Path
+) -> Iterator[LoggedPage]:
+    """The log of a page, and its plant, which is known meanwhile; output, input and disturbance are named."""
+    files = files_of(page(name))
+    (folder / plant).write_text(files[plant], encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        exec(compile(files["make_log.py"], "make_log.py", "exec"), {})
+    with (folder / "log.csv").open(encoding="utf-8") as log:
+        rows = list(csv.DictReader(log))
+    samples = []
+    for k, row in enumerate(rows):
+        reading, command, disturbance = (float(row[column]) for column in columns)
+        stamp = round(k * period * 1e9)
+        samples.append(Sample(k, stamp, reading, reading, command, (disturbance,)))
+    with no_plant_files():
+        settings = TwinSettings.of(
+            load_plant(str(folder / plant)), period=period, law=None
+        )
+        yield LoggedPage(samples, settings)
+
+
+def test_the_hot_end_on_its_page_is_matched_trusted_and_broken_when_the_page_says(
+    tmp_path: Path,
+) -> None:
+    text = page("hot_end.md")
+    columns = ("Nozzle (degC)", "Heater (%)", "Fan")
+    with logged("hot_end.md", "hot_end.py", columns, 1.0, tmp_path) as (log, settings):
+        outcomes = Outcomes(iter(log), settings)
+    holds = 300.0
+    assert outcomes.first["match"] <= holds
+    assert "The first of them gives a match already" in text
+    trusted_after = 60.0 * said(text, r"the twin is trusted after (\w+) minutes")
+    assert outcomes.trusted[min(t for t in outcomes.trusted if t >= trusted_after)]
+    for name, value in (("power", 0.4), ("losses", 0.07), ("blown", 0.04), ("lag", 4)):
+        assert f"{value:g}" in text
+        assert outcomes.found[name] == pytest.approx(value, rel=0.05)
+    broken = 60.0 * said(text, r"after (\d+)\s+minutes the heater's lead breaks")
+    late = 60.0 * said(text, r"(Half a) minute after the lead breaks the verdict")
+    assert broken < outcomes.faults["drift"] <= broken + late
+    assert "Seconds later it can tell them apart" in text
+    assert outcomes.faults["drift"] < outcomes.faults["drive-lost"]
+    assert outcomes.faults["drive-lost"] <= outcomes.faults["drift"] + late
+
+
+def test_the_room_on_its_page_is_trusted_and_its_window_named_when_the_page_says(
+    tmp_path: Path,
+) -> None:
+    text = page("room.md")
+    columns = ("Room (degC)", "Radiator (W)", "Outdoor (degC)")
+    with logged("room.md", "room.py", columns, 600.0, tmp_path) as (log, settings):
+        outcomes = Outcomes(iter(log), settings)
+    hour = 3600.0
+    day = 24.0 * hour
+    trusted_day = said(text, r"In the course of the (\w+) day the twin becomes trusted")
+    ahead = {
+        hour * said(text, r"becomes trusted (\w+) and"),
+        hour * said(text, r"becomes trusted \w+ and (\w+) hours ahead"),
+    }
+    opened = 11.4 * day
+    trusted = [
+        horizons
+        for now, horizons in outcomes.trusted.items()
+        if trusted_day * day <= now < opened
+    ]
+    assert len(trusted) > 30
+    assert all(ahead <= {*horizons} for horizons in trusted)
+    late = hour * said(text, r"(\w+) hours later the verdict says `losses-changed`")
+    assert opened < outcomes.faults["losses-changed"] <= opened + late
+    assert {*outcomes.faults} == {"losses-changed"}
+    typical = settings.plant.typical
+    assert {*outcomes.found} == {*typical}
+    for name, value in typical.items():
+        assert outcomes.found[name] == pytest.approx(value, rel=0.06)

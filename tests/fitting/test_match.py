@@ -15,9 +15,17 @@ from scipy.optimize import least_squares
 
 from tests.support.plants import Lag, Motor
 from twinmatch.dynamics import (
+    Disturbance,
+    Drive,
+    Equations,
+    Output,
+    Parameter,
     Parameters,
+    Plant,
     PlantError,
     Sensor,
+    State,
+    Structure,
     begin,
     simulate_closed_loop,
     simulate_driven,
@@ -433,6 +441,46 @@ def test_what_a_driven_twin_says_of_its_error_is_that_of_plain_regression() -> N
     plain = np.sqrt(np.diag(np.linalg.inv(theirs.jac.T @ theirs.jac)) * a_match.chi2)
     assert a_match.standard_errors == pytest.approx(plain, rel=0.05)
     assert a_match.accepted
+
+
+class Ventilated(Plant, name="ventilated"):
+    """A lag that loses more while a fan runs."""
+
+    y = Output(unit="m", noise=0.01, span=(-100.0, 100.0))
+    u = Drive(unit="V", limits=(-10.0, 10.0), noise=0.1)
+    fan = Disturbance(unit="1", default=0.0)
+    x = State(unit="m", span=(-50.0, 50.0))
+    gain = Parameter(unit="m/V", default=2.0, bounds=(0.1, 10.0), positive=True)
+    lag = Parameter(unit="s", default=5.0, bounds=(0.5, 50.0), positive=True)
+    blown = Parameter(unit="1", default=0.2, bounds=(0.0, 5.0), least=0.0)
+    structures = {"lag": Structure(free=("gain", "lag", "blown"))}  # noqa: RUF012
+
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+        """One line."""
+        lost = (1.0 + self.blown * self.fan) * self.x
+        return Equations(
+            rates={self.x: (self.gain * self.u - lost) / self.lag},
+            output=self.x,
+            start={self.x: self.y},
+        )
+
+
+def test_what_a_window_does_not_show_at_all_is_kept_and_hides_nothing_else() -> None:
+    """The fan rests: its parameter has no effect, and the others are those of a lag without a fan."""
+    quiet = driven()
+    of_lag = match(quiet, start=LAG.parameters())
+    window = replace(quiet, disturbances=np.zeros((len(quiet), 1)))
+    of_both = match(window, start=Ventilated.model().parameters())
+    assert of_both.status is of_lag.status is Status.ACCEPTED
+    assert of_both.parameters["blown"] == 0.2
+    assert "not determined and kept: blown" in of_both.reason
+    for name in ("gain", "lag"):
+        assert of_both.parameters[name] == pytest.approx(
+            of_lag.parameters[name], rel=1e-6
+        )
+    assert of_both.believed == of_lag.believed == ("gain", "lag")
+    np.testing.assert_allclose(of_both.intervals[:2], of_lag.intervals, rtol=1e-3)
+    assert of_both.intervals[2].tolist() == [0.0, math.inf]
 
 
 def test_an_input_that_stands_still_excites_nothing() -> None:

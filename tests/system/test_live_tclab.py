@@ -20,11 +20,13 @@ pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
 from tests.support.places import LAUNCH_SCRIPTS, PROJECT
 from tests.support.processes import Processes, run_twinmatch
 from tests.support.waiting import PATIENCE
+from twinmatch.comparing import ADMITTED, REFUSED
 from twinmatch.emulation.faults import tell
 from twinmatch.launching.plan import LivePlan, VirtualPlan
 from twinmatch.nodes.step import VARIABLE
 from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import read_session
+from twinmatch.sessions.cdr import decoded
 
 LIVE = LAUNCH_SCRIPTS / "live.py"
 
@@ -119,6 +121,49 @@ def test_both_heaters_are_driven_and_recorded_and_go_to_zero(
     assert all(
         sample.inputs[0] > 0 and sample.inputs[1] > 0 for sample in session.samples[15:]
     )
+
+
+@pytest.mark.long("drives both heaters of a kit for nine minutes, and plays that")
+def test_verify_and_play_admit_the_matches_that_a_law_on_estimates_left(
+    processes: Processes, tmp_path: Path
+) -> None:
+    """Sensor 1 is off from 330 s on, and the law of heater 1 runs on what the twin says it should read; the
+    windows of two later steps are matched by nobody."""
+    kit = tmp_path / "kit.yaml"
+    kit.write_text(
+        "controller:\n  ros__parameters:\n"
+        "    profile.levels: [35.0, 35.0, 50.0, 35.0, 50.0, 45.0, 40.0, 45.0]\n"
+        "    profile.holds: [130.0, 130.0, 160.0, 130.0]\n"
+        "    profile.repeat: false\n    exit_at_end: true\n"
+        "    command_period: 0.5\n"
+        "tclab_bridge:\n  ros__parameters:\n    read_through: T1\n"
+    )
+    twin = tmp_path / "twin.yaml"
+    twin.write_text(
+        "/**:\n  ros__parameters:\n    plant: tclab-both\n    read_through: T1\n"
+        "    schedule: {span: 100, min_span: 60, lead: 10}\n"
+    )
+    run = tmp_path / "run"
+    words = ("--plant", "tclab-both", "--virtual", "--speed", "max", "--config", kit)
+    words += ("--twin-config", twin, "--session", run)
+    words += ("--fault", "sensor-offset.1@330")
+    live = processes.python(LIVE, *words)
+    assert live.wait(12 * PATIENCE) == 0, live.text
+    session = read_session(run)
+    recorded = list(map(decoded, session.messages(["/twin/model_score"])))
+    refused = [verdict.reason for verdict in recorded if verdict.match == REFUSED]
+    admitted = [verdict.reason for verdict in recorded if verdict.match == ADMITTED]
+    assert len(admitted) == 1, live.text
+    assert len(refused) == 2, live.text
+    assert all("the law ran on an estimate until" in reason for reason in refused)
+    verification = verify_session(run)
+    assert verification.identical, verification.difference
+    played = processes.python(
+        "-m", "twinmatch.cli", "play", run, "--rate", 0, "--config", twin
+    )
+    assert played.wait(6 * PATIENCE) == 0, played.text
+    matched = re.findall(r"candidate .* matched on samples \d+ to \d+", played.text)
+    assert matched == admitted
 
 
 def test_what_a_process_of_the_run_refuses_is_one_line_and_exit_code_two(

@@ -122,6 +122,19 @@ class Uncertainty:
     covariance: FloatArray
     """Covariance of the parameters, shape (n, n); infinite where the information is singular."""
 
+    @property
+    def covariance_of_shown(self) -> FloatArray:
+        """Covariance of the parameters, shape (n, n), if those without any effect have the values they have.
+
+        Infinite for these. A parameter that the window does not show hides nothing of the others.
+        """
+        places = shown(self.fisher)
+        if not places or len(places) == self.scales.size:
+            return self.covariance
+        covariance = np.full_like(self.fisher, np.inf)
+        covariance[np.ix_(places, places)] = self.given(places).covariance
+        return covariance
+
     def given(self, places: Sequence[int]) -> Uncertainty:
         """The uncertainty of the parameters at these places if the others are known."""
         block = np.ix_(places, places)
@@ -200,12 +213,7 @@ def profile_intervals(
     cuts off is infinite; if that bound is zero, the end is zero, because zero is a physical limit.
     """
     optimum = problem.evaluate(values)
-    scales = problem.scales
-    try:
-        inverse = np.linalg.inv(optimum.hessian * np.outer(scales, scales))
-    except np.linalg.LinAlgError:
-        inverse = np.full_like(optimum.hessian, np.nan)
-    of_white_noise = np.diag(inverse) * np.square(scales)
+    of_white_noise = _variances_by_white_noise(optimum.hessian, problem.scales)
     rises = QUANTILE * np.diag(covariance) / of_white_noise
     intervals = np.empty((values.size, 2))
     for i, rise in enumerate(rises.tolist()):
@@ -219,6 +227,24 @@ def profile_intervals(
                     0.0 if sign < 0 and problem.lower[i] == 0.0 else sign * math.inf
                 )
     return intervals
+
+
+def _variances_by_white_noise(fisher: FloatArray, scales: FloatArray) -> FloatArray:
+    """Variances of the parameters if the residuals were white, shape (n,); NaN where nothing shows."""
+    variances = np.full(scales.size, np.nan)
+    places = shown(fisher)
+    scaled = fisher * np.outer(scales, scales)
+    try:
+        inverse = np.linalg.inv(scaled[np.ix_(places, places)])
+    except np.linalg.LinAlgError:
+        return variances
+    variances[places] = np.diag(inverse) * np.square(scales[places])
+    return variances
+
+
+def shown(fisher: FloatArray) -> list[int]:
+    """Places of the parameters that have any effect on the window."""
+    return np.flatnonzero(np.diag(fisher) > 0.0).tolist()
 
 
 def profile_end(

@@ -195,7 +195,7 @@ def identify(
     such a fit is refused anyway.
     """
     of_all = uncertainty(problem, found)
-    intervals = profile_intervals(problem, found.values, of_all.covariance)
+    intervals = profile_intervals(problem, found.values, of_all.covariance_of_shown)
     widths = _widths(problem, intervals)
     believed = tuple(
         n for n, width in zip(problem.names, widths, strict=True) if width <= 1.0
