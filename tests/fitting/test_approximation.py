@@ -17,7 +17,7 @@ from twinmatch.dynamics import (
     Structure,
     law_for,
 )
-from twinmatch.fitting import Match, match
+from twinmatch.fitting import GateLimits, Match, match
 from twinmatch.fitting.approximation import shift_by_dead_times
 from twinmatch.fitting.estimation import profile_intervals
 from twinmatch.fitting.problem import Noise, Problem
@@ -174,3 +174,12 @@ def test_where_nothing_switches_an_approximation_shifts_nothing() -> None:
     shift = shift_by_dead_times(problem, problem.values_of(parameters))
     assert abs(shift[0]) < 0.1
     assert abs(shift[1]) < 1.0
+
+
+def test_what_is_on_its_way_at_the_start_refuses_no_longer_window() -> None:
+    """In a long window the parameters are known ever better, and what was on its way at its start is not."""
+    readings, switch = switched(40.0, 1.0, rows=960)
+    result = matched(readings, switch)
+    assert result.condition > GateLimits().condition
+    assert result.accepted, result.reason
+    assert result.parameters["gain"] == pytest.approx(60.0, rel=0.05)

@@ -87,6 +87,16 @@ def shift_by_dead_times(problem: Problem, values: FloatArray) -> FloatArray:
     return _least_squares(problem, misfit, tangents.by) if is_finite else shift
 
 
+def started_chains(problem: Problem) -> frozenset[str]:
+    """The states of dead times of drives whose values at the window's start are fitted."""
+    if problem.law is not None or not problem.base.model.structure.free_starts:
+        return frozenset()
+    names: set[str] = set()
+    for delayed_drive in _delayed_drives(problem.base.model):
+        names.update((delayed_drive.mean, *delayed_drive.shapes))
+    return frozenset(names & set(problem.base.model.structure.free_starts))
+
+
 def _least_squares(
     problem: Problem, misfit: FloatArray, by_unknowns: FloatArray
 ) -> FloatArray:
