@@ -8,11 +8,16 @@ from typing import Any
 
 import pytest
 
+from tests.support.broker import RunningBroker, quickest_kind
 from tests.support.places import PROJECT
 from tests.support.processes import no_plant_files
+from tests.support.waiting import PATIENCE, wait_for
+from twinmatch.links.mqtt_client import Broker
+from twinmatch.links.mqtt_source import open_source
 from twinmatch.parameters.sampler import sampler_values, sources_of
 from twinmatch.sampling import payloads, registers
 from twinmatch.sampling.channels import Channel, SamplingError
+from twinmatch.sampling.listener import Read
 from twinmatch.sampling.sources import SignalMap, SignalSource
 
 PAGE = (PROJECT / "docs" / "devices.md").read_text("utf-8")
@@ -97,6 +102,62 @@ def test_three_lines_read_what_such_a_device_publishes(
         [channel] = source.channels(signal, payloads.parse_place)
         values[signal] = value_of(source, channel, UNITS[signal], PAYLOADS[name])
     assert values == {"output": pytest.approx(20.5), "input": pytest.approx(1.0)}
+
+
+def test_all_devices_of_the_page_are_read_through_one_broker(tmp_path: Path) -> None:
+    """One broker, one subscription to what all the maps name, and every device's messages in turn."""
+    wanted: dict[tuple[str, str], tuple[SignalSource, Channel]] = {}
+    for name in PAYLOADS:
+        folder = tmp_path / name
+        folder.mkdir()
+        sources, _ = sources_in(name, folder)
+        for signal, source in sources.items():
+            [channel] = source.channels(signal, payloads.parse_place)
+            wanted[name, signal] = (source, channel)
+    ready = payloads.parse_place("test/ready")
+    channels = [ready, *(channel for _, channel in wanted.values())]
+    newest: dict[Channel, float | str] = {}
+    received: list[str] = []
+
+    def receive(topic: str, read: Read, *_: Any, **__: Any) -> None:
+        received.append(topic)
+        for channel in channels:
+            if channel.topic == topic:
+                value = read(channel)
+                if value is not None:
+                    newest[channel] = value
+
+    broker = RunningBroker(tmp_path / "broker", quickest_kind())
+    try:
+        device = Broker.parse(broker.url).connected(lambda _: None)
+        followed = open_source(broker.url, 1.0, channels, receive)
+
+        def stands() -> bool:
+            device.publish(ready.topic, "1", 1).wait_for_publish(PATIENCE)
+            followed.poll()
+            return ready in newest
+
+        wait_for(stands, "the subscription")
+        count = 0
+        for messages in PAYLOADS.values():
+            for topic, payload in messages:
+                device.publish(topic, payload, 1).wait_for_publish(PATIENCE)
+                count += 1
+
+        def arrived() -> bool:
+            followed.poll()
+            return len([topic for topic in received if topic != ready.topic]) == count
+
+        wait_for(arrived, "the messages of all devices")
+        followed.close()
+        device.disconnect()
+    finally:
+        broker.close()
+    for (name, signal), (source, channel) in wanted.items():
+        value = source.number(newest[channel], UNITS[signal])
+        as_sample = source.follow(signal, UNITS[signal], [channel], [""])
+        right = {"output": 20.5, "input": 1.0}[signal]
+        assert as_sample.value([value], 0.0) == pytest.approx(right), name
 
 
 def test_three_lines_read_the_registers_of_a_heat_pump(tmp_path: Path) -> None:

@@ -17,6 +17,8 @@ from twinmatch.sessions.files import RecordingError
         ("Heating", 1.0, ""),
         ("preheating", 1.0, ""),
         ("idle", 0.0, ""),
+        ("fan", 0.0, ""),
+        ("fan_only", 0.0, ""),
         ("cool", -1.0, ""),
         ("cooling", -1.0, ""),
         ("17.99 °C", 17.99, "°C"),
@@ -38,7 +40,17 @@ def test_what_devices_write_is_a_number_with_its_unit(
 
 @pytest.mark.parametrize(
     "text",
-    ["", "blah", "unavailable", "drying", "fan", "1.2.3", "1_000", "12:30", "1,234"],
+    [
+        "",
+        "blah",
+        "unavailable",
+        "drying",
+        "defrosting",
+        "1.2.3",
+        "1_000",
+        "12:30",
+        "1,234",
+    ],
 )
 def test_what_is_not_a_number_or_may_be_two_is_refused_with_its_text(text: str) -> None:
     with pytest.raises(UnreadableError) as caught:
@@ -59,7 +71,7 @@ def test_a_map_gives_numbers_to_words_and_to_none_but_these() -> None:
     ]
     assert parse_source("here", source.text) == source
     with pytest.raises(UnreadableError):
-        source.number("fan", "%")
+        source.number("defrosting", "%")
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,9 @@ _DEAD_ORDER: Final = 2
 _DEAD_ORDER_SWITCHED: Final = 4
 """States of the dead time where an input switches: two round its corners off, and the loop that switches on
 what it sees then has another gain and another lag in their place."""
+_DEAD_STARTS: Final = '"acting_0", "acting_1"'
+"""States of such a dead time that are fitted at the start of a window: how much of what was switched has not
+arrived yet, and when it will. What is taken for heat that nobody gave is in the readings for a time constant."""
 _LONGEST: Final = 60
 _TAKEN: Final = (
     "Disturbance",
@@ -146,6 +149,7 @@ def _plant(name: str, proposal: Proposal) -> dict[str, Any]:
         "sensor_lag": rounded(proposal.lag / 10),
         "sensor_low": rounded(proposal.lag / 500),
         "dead_order": _DEAD_ORDER_SWITCHED if proposal.switched else _DEAD_ORDER,
+        "dead_starts": _DEAD_STARTS if proposal.switched else "",
         "dead_low": rounded(proposal.lag / 50),
         "free": ", ".join(f'"{name}"' for name in free),
         "around": around.name if around else "rest",

@@ -17,6 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Parameters
+from twinmatch.fitting.approximation import shift_by_dead_times
 from twinmatch.fitting.estimation import (
     Estimate,
     Uncertainty,
@@ -196,6 +197,8 @@ def identify(
     """
     of_all = uncertainty(problem, found)
     intervals = profile_intervals(problem, found.values, of_all.covariance_of_shown)
+    shift = shift_by_dead_times(problem, found.values)
+    intervals = _with_shift(problem, intervals, shift)
     widths = _widths(problem, intervals)
     believed = tuple(
         n for n, width in zip(problem.names, widths, strict=True) if width <= 1.0
@@ -223,8 +226,41 @@ def identify(
         believed=believed,
         determined=_sentence_on(
             problem, final.values, of_all.covariance, intervals, believed
-        ),
+        )
+        + _sentence_on_shift(problem, found.values, shift, of_all.covariance),
         suggestion=suggestion,
+    )
+
+
+def _with_shift(
+    problem: Problem, intervals: FloatArray, shift: FloatArray
+) -> FloatArray:
+    """The intervals, shape (n, 2), with all values in them as they would be without a shift, shape (n,)."""
+    low = intervals[:, 0] - np.maximum(shift, 0.0)
+    high = intervals[:, 1] - np.minimum(shift, 0.0)
+    low = np.where(low > problem.lower, low, -np.inf)
+    high = np.where(high < problem.upper, high, np.inf)
+    low = np.where(np.isneginf(low) & (problem.lower == 0.0), 0.0, low)
+    is_shifted = np.isfinite(intervals) & (shift != 0.0)[:, None]
+    return np.where(is_shifted, np.column_stack([low, high]), intervals)
+
+
+def _sentence_on_shift(
+    problem: Problem, values: FloatArray, shift: FloatArray, covariance: FloatArray
+) -> str:
+    """A clause on the parameter that a dead time's approximation shifts most; empty if the noise hides it."""
+    n_free = len(problem.free)
+    errors = np.sqrt(np.diag(covariance))[:n_free]
+    if not np.isfinite(errors).all():
+        return ""
+    in_errors = np.abs(shift[:n_free]) / errors
+    place = int(np.argmax(in_errors))
+    if in_errors[place] <= 1.0:
+        return ""
+    way = "low" if shift[place] < 0.0 else "high"
+    return (
+        f"; {problem.free[place]} ({values[place]:.3g}) is about {abs(shift[place]):.2g} too {way}, as the dead "
+        "time is approximated, which the intervals allow for; to know more, rest it before the first switching"
     )
 
 

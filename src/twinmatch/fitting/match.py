@@ -14,6 +14,7 @@ import numpy as np
 from twinmatch.dynamics import FROM_PLANT_FILE, Law, LoopLaw, Parameters
 from twinmatch.dynamics.movement import effect_of
 from twinmatch.errors import TwinmatchError
+from twinmatch.fitting.approximation import started_chains
 from twinmatch.fitting.estimation import (
     Estimate,
     Uncertainty,
@@ -376,7 +377,8 @@ def _with_fit(
 
     def stands(of_all: Uncertainty, values: FloatArray) -> bool:
         errors = np.sqrt(np.diag(of_all.covariance))
-        loose = undetermined(problem.unknowns, values, errors, of_all.condition, limits)
+        condition = _condition(problem, problem.names, of_all)
+        loose = undetermined(problem.unknowns, values, errors, condition, limits)
         return not loose and not on_bounds(problem, values)
 
     identified = (
@@ -398,7 +400,9 @@ def _with_fit(
         free=tuple(problem.unknowns[i] for i in free),
         values=final.values[free],
         standard_errors=np.sqrt(np.diag(identified.others.covariance)),
-        condition=identified.others.condition,
+        condition=_condition(
+            problem, [problem.names[i] for i in free], identified.others
+        ),
         bounds_hit=bounds_hit,
         converged=final.converged,
         chi2=final.chi2,
@@ -429,6 +433,16 @@ def _with_fit(
         determined=identified.determined,
         suggestion=identified.suggestion,
     )
+
+
+def _condition(problem: Problem, names: Sequence[str], known: Uncertainty) -> float:
+    """Condition number of the unknowns with these names that the gate judges.
+
+    What a dead time had on its way at the start is left out: a window says as much of it when it is short as when
+    it is long, while it says ever more of the others, so that their ratio grows without anything being wrong.
+    """
+    chains = started_chains(problem)
+    return known.condition_of([i for i, name in enumerate(names) if name not in chains])
 
 
 def _kept_sentence(problem: Problem, found: Identified) -> str:

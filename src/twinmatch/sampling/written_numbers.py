@@ -12,21 +12,22 @@ WORDS: Final[Mapping[str, float]] = (
     dict.fromkeys(
         ("on", "true", "yes", "open", "heating", "heat", "preheating", "ein", "an"), 1.0
     )
-    | dict.fromkeys(("off", "false", "no", "closed", "idle", "aus"), 0.0)
+    | dict.fromkeys(
+        ("off", "false", "no", "closed", "idle", "aus", "fan", "fan_only"), 0.0
+    )
     | dict.fromkeys(("cooling", "cool"), -1.0)
 )
-"""Words that mean the same everywhere, in small letters; what cools is opposed to what heats."""
+"""Words that mean the same everywhere, in small letters; what cools is opposed to what heats, and while only the
+fan of a climate device is on it does neither (Home Assistant's definition)."""
 _UNDECIDED: Final = (
     "dry",
     "drying",
-    "fan",
-    "fan_only",
     "defrosting",
     "auto",
     "heat_cool",
     "eco",
 )
-"""Words of climate devices whose effect depends on the plant."""
+"""Words of climate devices whose effect depends on the plant: one that dries or defrosts may cool as it does so."""
 _NUMBER: Final = re.compile(
     r"(?P<number>[-+−]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>[^\d\s.,:;_=+-][^,:;_=]*)?"
 )
