@@ -7,6 +7,7 @@ that the examples of all pages may import.
 from __future__ import annotations
 
 import re
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -50,6 +51,8 @@ def _modules(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         (folder / name).write_text(code, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
+        # what examples leave there goes with the folders of the tests
+        patch.setattr(tempfile, "tempdir", str(tmp_path_factory.mktemp("temporary")))
         yield
 
 

@@ -8,6 +8,7 @@ import socket
 import sys
 import urllib.request
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -49,39 +50,74 @@ def without(*packages: str) -> str:
 WITHOUT_ROS = without("rclpy", "twinmatch_msgs", "diagnostic_msgs", "std_msgs")
 
 
+def write_files(folder: Path, broker: RunningBroker) -> None:
+    """Write the page's files into a folder, for this broker and in a hurry."""
+    for name, text in FILES.items():
+        content = text.replace("mqtt://127.0.0.1", broker.url)
+        content = content.replace("1883", str(broker.port))
+        content = content.replace("time.sleep(0.1)", f"time.sleep({HURRY})")
+        (folder / name).write_text(content, encoding="utf-8")
+
+
+@dataclass
 class Home:
-    """A broker, the page's home behind it, and the page's files."""
+    """A broker with the page's home behind it, and the page's files in a folder."""
 
-    def __init__(self, folder: Path, processes: Processes) -> None:
-        self.folder = folder
-        self._processes = processes
-        self.broker = RunningBroker(folder / "broker", require("amqtt"))
-        for name, text in FILES.items():
-            content = text.replace("mqtt://127.0.0.1", self.broker.url).replace(
-                "1883", str(self.broker.port)
-            )
-            content = content.replace("time.sleep(0.1)", f"time.sleep({HURRY})")
-            (folder / name).write_text(content, encoding="utf-8")
-        self.play()
+    folder: Path
+    broker: RunningBroker
+    processes: Processes
 
-    def play(self) -> None:
-        self.rig = self._processes.python("home.py", folder=self.folder)
-
-    def attach(self, *options: str, ros: bool = False) -> Process:
-        """The page's command, in the hurry of its home."""
-        words = COMMANDS[1].replace("--dashboard", "--dashboard 0").split()
-        program = ["-m", "twinmatch.cli"] if ros else ["-c", WITHOUT_ROS]
-        return self._processes.python(
+    def attach(
+        self, *options: object, without_ros: bool = False, dashboard: bool = True
+    ) -> Process:
+        """The page's command, in the hurry of its home; one that has no ROS cannot be forked, and takes as
+        long to start as the rest of a test."""
+        served = "--dashboard 0" if dashboard else ""
+        words = COMMANDS[1].replace("--dashboard", served).split()
+        program = ["-c", WITHOUT_ROS] if without_ros else ["-m", "twinmatch.cli"]
+        return self.processes.python(
             *program, *words, "--period", HURRY, *options, folder=self.folder
         )
 
 
+class House:
+    """The broker of all tests, and the page's home."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._processes = Processes(folder / "output")
+        self.broker = RunningBroker(folder / "broker", require("amqtt"))
+        write_files(folder, self.broker)
+        self._play()
+
+    def mend(self) -> None:
+        """Start both again if the broker was killed: a home that has looked for it for long looks rarely."""
+        if not self.broker.process.running:
+            self._home.kill()
+            self.broker.start()
+            self._play()
+
+    def close(self) -> None:
+        self._processes.dismiss()
+        self.broker.close()
+
+    def _play(self) -> None:
+        self._home = self._processes.python("home.py", folder=self._folder)
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory: pytest.TempPathFactory) -> Iterator[House]:
+    lasting_house = House(tmp_path_factory.mktemp("house"))
+    yield lasting_house
+    lasting_house.close()
+
+
 @pytest.fixture
-def home(tmp_path: Path, processes: Processes) -> Iterator[Home]:
+def home(tmp_path: Path, processes: Processes, house: House) -> Iterator[Home]:
+    house.mend()
+    write_files(tmp_path, house.broker)
     with no_plant_files():
-        running_home = Home(tmp_path, processes)
-        yield running_home
-        running_home.broker.close()
+        yield Home(tmp_path, house.broker, processes)
 
 
 def samples_in(folder: Path) -> int:
@@ -103,7 +139,7 @@ def test_the_page_leads_from_a_room_to_a_verdict_without_ros(
         lambda client: client.subscribe("twinmatch/#") and None,
         lambda message: payloads.update({message.topic: bytes(message.payload)}),
     )
-    run = home.attach("--tell", home.broker.url)
+    run = home.attach("--tell", home.broker.url, without_ros=True)
     run.said(VERDICT, FIRST)
     [address] = re.findall(r"page: (http\S+)", run.text)
     with urllib.request.urlopen(f"{address}metrics") as answer:
@@ -130,7 +166,7 @@ def test_where_ros_is_installed_the_graph_listens_to_the_broker(home: Home) -> N
     pytest.importorskip(
         "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
     )
-    run = home.attach(ros=True)
+    run = home.attach()
     run.said(VERDICT, FIRST)
     home.broker.kill()
     run.said(
@@ -150,8 +186,8 @@ def test_where_ros_is_installed_the_graph_listens_to_the_broker(home: Home) -> N
 def test_a_broker_that_is_gone_is_a_gap_and_a_run_that_is_killed_leaves_a_session_that_is_repaired(
     home: Home,
 ) -> None:
-    """The gap is reported; so is a home that stands still."""
-    run = home.attach()
+    """The gap is reported, and what was recorded on both its sides is there."""
+    run = home.attach("--alone", dashboard=False)
     run.said(r"^t / s")
     home.broker.kill()
     run.said(r"output: .*the connection to the broker at 127.0.0.1:\d+ is lost", FIRST)
@@ -170,7 +206,7 @@ def test_a_broker_that_is_gone_is_a_gap_and_a_run_that_is_killed_leaves_a_sessio
 def test_a_full_disk_ends_the_run_and_says_so(home: Home) -> None:
     with (home.folder / "room.yaml").open("a") as config:
         config.write("recorder:\n  ros__parameters:\n    min_free_mb: 1000000000.0\n")
-    run = home.attach()
+    run = home.attach("--alone", dashboard=False)
     assert run.wait() == 1, run.text
     assert re.search(r"no space left in .*MB must stay free", run.text)
     assert "Traceback" not in run.text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -121,19 +122,33 @@ class LeftOut(NamedTuple):
         return f"samples {self.first} to {self.last} are left out: {self.why}"
 
 
-class Ground(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Ground:
     """A session on which controllers are tried."""
 
     session: Session
     plant: type[Plant]
     terms: Terms | None
     """How it is judged; None for a plant with several loops, whose windows are fitted instead."""
-    loops: Law | None = None
-    """The law of several loops, if the recorded inputs are those of the plant file's; None: not known."""
-    left_out: tuple[LeftOut, ...] = ()
-    """Samples of a plant with several loops that its twins are not fitted to."""
+    settings: TwinSettings | None = None
+    """The settings of a twin of a plant with several loops."""
 
     @property
+    def loops(self) -> Law | None:
+        """The law of several loops, if the recorded inputs are those of the plant file's; None: not known."""
+        return None if self.settings is None else self.settings.law
+
+    @cached_property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """Samples of a plant with several loops that its twins are not fitted to.
+
+        Looked for when asked: it takes longer than all that may refuse a session before.
+        """
+        if self.settings is None:
+            return ()
+        return _faults_of_sensors(self.session, self.settings)
+
+    @cached_property
     def sound(self) -> list[Sample]:
         """The samples without those that are left out."""
         return [
@@ -225,9 +240,7 @@ def ground_of(
             "controllers are tried on plants with as many inputs as outputs"
         )
     settings = terms_from_files(session, config, candidates).settings
-    return Ground(
-        session, plant, None, settings.law, _faults_of_sensors(session, settings)
-    )
+    return Ground(session, plant, None, settings)
 
 
 def _faults_of_sensors(session: Session, settings: TwinSettings) -> tuple[LeftOut, ...]:
