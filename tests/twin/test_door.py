@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support import untaught
 from twinmatch.comparing import TrustLevel, Verdict
 from twinmatch.forecasting.baselines import Arx
 from twinmatch.health import Fault
@@ -189,3 +190,18 @@ def test_an_input_that_is_not_finite_is_replaced_by_the_one_before(
     settled = filled(came, SETTINGS)[50]
     assert (settled.seen, settled.refused) == (False, came[50].outputs)
     assert settled.input == simulated_session[49].input
+
+
+def test_a_sample_waits_while_a_verdict_to_come_may_decide_how_it_is_settled() -> None:
+    """A plant without a typical twin; also behind a door that has started over."""
+    samples = untaught.clean()[:3]
+    door = Door(untaught.settings())
+    for sample in samples:
+        door.push(sample)
+    assert door.next(lambda _: False) is None
+    assert door.next(lambda index: index < samples[0].index) == samples[0]
+    assert door.settled(lambda index: index < samples[0].index) == []
+    door.restart()
+    assert (door.oldest, door.waiting) == (samples[1], 2)
+    assert door.settled() == list(samples[1:])
+    assert door.oldest is None
