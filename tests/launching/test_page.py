@@ -46,10 +46,17 @@ pytest.importorskip(
 
 from tests.support.places import LAUNCH_SCRIPTS
 from tests.support.processes import Process, run_twinmatch
+from tests.support.ros import listening
 from tests.support.waiting import wait_for
 from twinmatch.launching.live import LiveRun
 from twinmatch.launching.plan import VirtualPlan
-from twinmatch.launching.processes import Page, Processes, add_page_options, page_of
+from twinmatch.launching.processes import (
+    LaunchError,
+    Page,
+    Processes,
+    add_page_options,
+    page_of,
+)
 from twinmatch.launching.watch import Watch
 from twinmatch.sessions import write_session
 from twinmatch.sessions.files import EXIT_DISK
@@ -175,6 +182,21 @@ def ending(name: str, code: int) -> tuple[Live, LiveRun, Ending]:
     run.show("[virtual_rig] clock: localhost:9")
     run.processes = processes = Ending(name, code)
     return live, run, processes
+
+
+@pytest.mark.ros
+@pytest.mark.usefixtures("ros")
+def test_a_graph_beside_one_that_runs_is_refused_before_anything_is_started() -> None:
+    """Both would drive the plate."""
+    with listening() as rig, listening() as beside:
+        assert rig.samples
+        live = Live(LivePlan(Path("rig.yaml")))
+        live.results.samples.close()
+        run = _LiveRun(live, Lines())
+        run.processes = processes = Ending("rig", 0)
+        with pytest.raises(LaunchError, match="/plant/sample already has a publisher"):
+            run.start(beside.node)  # type: ignore[arg-type]  # a node is all it takes
+        assert not processes.started
 
 
 @pytest.mark.parametrize(

@@ -218,9 +218,11 @@ def answers_belong_to_requests(
     listener.spin_until(lambda: ask(law="{", request="bad").success, "its turn")
     listener.spin_until(lambda: reported("bad"), "its refusal")
     assert reported("bad") == ["refused"]
-    (good,) = (report for report in reports if report.phase_name == "answered")
-    assert good.request.startswith("number ")
-    assert reported(good.request) == ["answered"]
+    # A second one is taken on if it is asked between the first answer and its report here.
+    answered = [report.request for report in reports if report.phase_name == "answered"]
+    for word in answered:
+        assert word.startswith("number ")
+        assert reported(word) == ["answered"]
     for shadow in (math.nan, math.inf, -1.0, 1e300):
         assert ask(law=json.dumps(DOCUMENT), shadow=shadow).message.startswith(
             "shadow is "

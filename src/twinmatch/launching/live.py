@@ -196,7 +196,10 @@ class LiveRun(Supervised):
     """The processes beside a live rig, and when they end."""
 
     DISCOVERY: Final = 2.0
-    """Time to discover a graph that is already running, s."""
+    """Time after which no other graph is running that has not been discovered, s: that nobody is there is
+    known no sooner."""
+    LOOK: Final = 0.05
+    """Interval between two looks for one, s."""
     SETTLE: Final = 180.0
     """Longest wait for the verdicts still due when the profile has ended, s."""
     VIRTUAL_RIG_START: Final = 90.0
@@ -290,12 +293,15 @@ class LiveRun(Supervised):
 
     def _refuse_second_graph(self, node: Watch) -> None:
         """Refuse to run beside another controller on the same topics: both would drive the plate."""
-        time.sleep(self.DISCOVERY)
-        if node.count_publishers("plant/sample"):
-            raise LaunchError(
-                f"live: {node.resolve_topic_name('plant/sample')} already has a publisher; end that "
-                "graph first, or set another ROS_DOMAIN_ID or namespace for this one"
-            )
+        deadline = time.monotonic() + self.DISCOVERY
+        while not node.count_publishers("plant/sample"):
+            if time.monotonic() > deadline:
+                return
+            time.sleep(self.LOOK)
+        raise LaunchError(
+            f"live: {node.resolve_topic_name('plant/sample')} already has a publisher; end that "
+            "graph first, or set another ROS_DOMAIN_ID or namespace for this one"
+        )
 
     def _lost(self) -> tuple[int, str] | None:
         """Restart processes that may be restarted; returns exit code and reason when the run is over."""

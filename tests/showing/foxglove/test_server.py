@@ -143,7 +143,7 @@ with connect(sys.argv[1], subprotocols=["foxglove.sdk.v1"]) as socket:
 
 
 def test_a_viewer_that_subscribes_at_once_is_not_refused(tmp_path: Path) -> None:
-    """One topic in five was refused as unknown here while viewers heard of it before it was there."""
+    """One topic in five was refused as unknown here while it was offered before it was there."""
     processes = Processes(tmp_path)
     server = processes.start(sys.executable, "-c", SLOW_SERVER)
     viewer = processes.start(sys.executable, "-c", QUICK_VIEWER, server.url)

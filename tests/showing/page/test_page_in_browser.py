@@ -306,7 +306,7 @@ def test_control_asks_the_controller_and_the_bridge(
 def test_an_open_tab_comes_back_with_the_server_and_waits(
     page: Any, graph: Graph, browser: Any
 ) -> None:
-    """The server began anew, so it has nothing to show; all that it is comes from this machine."""
+    """The server has started again, so it has nothing to show; all that it loads is of this machine."""
     browser.wait_for(
         lambda: "waiting for the first sample" in browser.text, "that it waits"
     )

@@ -125,8 +125,8 @@ class GraphServer(ServerListener):
     def advertise(self, topic: str, kind: str, schema: str) -> None:
         """Advertise a topic: full name, `package/msg/Type`, and its definition with those of nested types.
 
-        The SDK tells the viewers of a channel before it knows the channel itself, and refuses whoever is
-        quick enough to subscribe in between: so they hear of it once it is made.
+        The SDK tells the viewers of a channel before it knows the channel itself, and refuses a viewer that
+        subscribes in between: so what it says is passed on once the channel is made.
         """
         if topic in self._channels:
             closed = self._channels.pop(topic)
