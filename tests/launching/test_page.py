@@ -192,7 +192,7 @@ def test_a_graph_beside_one_that_runs_is_refused_before_anything_is_started() ->
         assert rig.samples
         live = Live(LivePlan(Path("rig.yaml")))
         live.results.samples.close()
-        run = _LiveRun(live, Lines())
+        run = LiveRun(live, Lines())
         run.processes = processes = Ending("rig", 0)
         with pytest.raises(LaunchError, match="/plant/sample already has a publisher"):
             run.start(beside.node)  # type: ignore[arg-type]  # a node is all it takes
