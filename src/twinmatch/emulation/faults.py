@@ -16,12 +16,12 @@ import math
 import socket
 from bisect import insort
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from twinmatch.emulation.clock import LineServer
 from twinmatch.errors import TwinmatchError
+from twinmatch.settings import Rule
 
 KINDS: Final = {
     "drive-lost": "a wire to the plate breaks: no current at any command",
@@ -41,8 +41,7 @@ KINDS: Final = {
 """Every fault and its effect."""
 
 
-@dataclass(frozen=True)
-class SensorErrors:
+class SensorErrors(Rule):
     """How far the faults of sensors take a reading from the temperature."""
 
     drift: float = 0.8

@@ -16,6 +16,7 @@ from twinmatch.health.faults import TRAITS, Evidence, Fault, signed
 from twinmatch.health.sentences import FaultSentences
 from twinmatch.health.settings import HealthSettings
 from twinmatch.health.trial import TwinOnTrial
+from twinmatch.settings import Rule
 from twinmatch.signals import Sample
 
 _NAMED: Final = frozenset(
@@ -24,8 +25,7 @@ _NAMED: Final = frozenset(
 """Slow changes that name a cause."""
 
 
-@dataclass(frozen=True)
-class _SlowReports:
+class _SlowReports(Rule):
     """When a slow change is reported."""
 
     agreeing: int = 2
@@ -44,8 +44,7 @@ class _SlowReports:
 _REPORTS: Final = _SlowReports()
 
 
-@dataclass(frozen=True)
-class _SlowEnds:
+class _SlowEnds(Rule):
     """When a reported change is over."""
 
     accept: float = 600.0

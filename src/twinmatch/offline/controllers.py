@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -34,6 +34,7 @@ from twinmatch.plants import Peltier, plant_named
 from twinmatch.plants.files import load_law
 from twinmatch.sessions import Session
 from twinmatch.sessions.documents import parse_json, read_text
+from twinmatch.settings import Rule
 from twinmatch.signals import MEDIAN_TO_SIGMA, FloatArray, Sample, stretches
 from twinmatch.twin import Outcome, Twin, TwinSettings
 from twinmatch.twin.tried import tried_twins
@@ -46,8 +47,7 @@ VISITED = 3.0
 """Margin around the visited levels, in the output's noise."""
 
 
-@dataclass(frozen=True)
-class _SessionFits:
+class _SessionFits(Rule):
     """How a session is fitted where no verdicts are made."""
 
     window: float = 10.0

@@ -7,17 +7,16 @@ import secrets
 import socket
 import threading
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Final
 
+from twinmatch.settings import Rule
 from twinmatch.showing.serving import Hosts
 
 REQUEST: Final = 1 << 14
 """Most bytes of a request."""
 
 
-@dataclass(frozen=True)
-class _Connections:
+class _Connections(Rule):
     """Limits of the connections to a server."""
 
     patience: float = 10.0
