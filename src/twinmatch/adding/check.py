@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, Final
 
@@ -36,6 +35,7 @@ from twinmatch.dynamics import (
     begin,
 )
 from twinmatch.dynamics.equations import outputs_of, written_equations
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 _OF_STRUCTURE: Final = re.compile(r"structure ('[^']*'|\"[^\"]*\"): ")
@@ -263,8 +263,7 @@ def _names(expressions: Iterable[Any]) -> set[str]:
     return {str(s) for e in expressions for s in getattr(e, "free_symbols", ())}
 
 
-@dataclass(frozen=True)
-class _Simulation:
+class _Simulation(Rule):
     """How a plant is tried, and how slow its simulation may be."""
 
     points: int = 24

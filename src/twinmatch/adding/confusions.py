@@ -10,7 +10,6 @@ beside a running plant.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -32,11 +31,11 @@ from twinmatch.health.faults import TRAITS
 from twinmatch.health.hypotheses import ChangeRow
 from twinmatch.health.mixture import LEVELS
 from twinmatch.health.sentences import FaultSentences
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 
-@dataclass(frozen=True)
-class _FaultCourse:
+class _FaultCourse(Rule):
     """The course of a trial, in s of a plant as fast as the rig."""
 
     before: float = 600.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -36,14 +36,14 @@ from twinmatch.offline.separation import inseparable_in
 from twinmatch.sampling.sources import SignalMap
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import ProgressCallback
+from twinmatch.settings import Rule
 from twinmatch.showing.series import root_mean_square
 from twinmatch.signals import FloatArray, Sample, Window, only, stretches, unbroken
 from twinmatch.twin import MatchReport, StructureScore, TwinSettings, choose_structure
 from twinmatch.twin.structures import StructureChoice
 
 
-@dataclass(frozen=True)
-class _NoiseRule:
+class _NoiseRule(Rule):
     """How far a declared noise may be from what a recording shows."""
 
     small: float = 3.0
@@ -298,8 +298,7 @@ def _accepted(matches: tuple[MatchReport, ...]) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
-class _LoopRule:
+class _LoopRule(Rule):
     """How the declared controller is run on recorded set-points and outputs."""
 
     stretch: int = 200
@@ -369,8 +368,7 @@ def _errors(run: Window, law: Law) -> Iterator[FloatArray]:
     yield only("input", commands) - part.input[2:]
 
 
-@dataclass(frozen=True)
-class _Extent:
+class _Extent(Rule):
     """Stretches of a recording to which structures are fitted, in samples."""
 
     least: int = 63

@@ -13,17 +13,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 
-@dataclass(frozen=True)
-class _Answers:
+class _Answers(Rule):
     """The plant's answers to its inputs, which are taken off first."""
 
     most: int = 20_000
@@ -39,8 +38,7 @@ class _Answers:
 _ANSWERS: Final = _Answers()
 
 
-@dataclass(frozen=True)
-class _DifferenceBlocks:
+class _DifferenceBlocks(Rule):
     """Blocks of second differences, whose mean squares show where the signal is quiet."""
 
     size: int = 20
@@ -60,8 +58,7 @@ class _DifferenceBlocks:
 _BLOCKS: Final = _DifferenceBlocks()
 
 
-@dataclass(frozen=True)
-class _Growth:
+class _Growth(Rule):
     """Growth of the variance when the distance h doubles.
 
     Averages and low-pass filters let it grow up to 4 times, movements of the plant up to 16 times."""
@@ -80,8 +77,7 @@ class _Growth:
 _GROWTH: Final = _Growth()
 
 
-@dataclass(frozen=True)
-class _Digits:
+class _Digits(Rule):
     """Readings of coarse sensors, and of values that were written with few digits."""
 
     steps: int = 20

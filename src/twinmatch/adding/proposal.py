@@ -42,6 +42,7 @@ from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times
 from twinmatch.sampling.sources import SignalMap, SignalSource
 from twinmatch.sessions.files import RecordingError
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 from twinmatch.units import is_unit, measure
 
@@ -49,8 +50,7 @@ _SPIKE: Final = 10.0
 """Distance from the median of its neighbours, in noises, from which a reading is a spike."""
 
 
-@dataclass(frozen=True)
-class _ModelBlocks:
+class _ModelBlocks(Rule):
     """Blocks of samples from which a model is estimated."""
 
     fewest: int = 20

@@ -28,6 +28,7 @@ from twinmatch.dynamics import (
 )
 from twinmatch.dynamics.declarations import Parameter
 from twinmatch.dynamics.equations import written_equations
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray, Window
 
 
@@ -58,8 +59,7 @@ class CheckedPlant:
 SAMPLES: Final = 400
 
 
-@dataclass(frozen=True)
-class _TrialCourse:
+class _TrialCourse(Rule):
     """The course of the simulated experiment."""
 
     per_lag: float = 20.0
@@ -207,8 +207,7 @@ def run_trial(parameters: Parameters, trial: Trial) -> tuple[Response, Window]:
     )
 
 
-@dataclass(frozen=True)
-class _CombinationSearch:
+class _CombinationSearch(Rule):
     """Where combinations of parameters without effect are looked for, and what counts as one."""
 
     points: int = 4

@@ -17,7 +17,6 @@ import threading
 import time
 import tty
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple, TypeVar
 
@@ -41,6 +40,7 @@ from twinmatch.links.pwm_protocol import (
     parse_request,
     seal,
 )
+from twinmatch.settings import Rule
 
 _log = logging.getLogger(__name__)
 _Own = TypeVar("_Own", bound="EmulatedBoard")
@@ -57,8 +57,7 @@ _WATCHDOG_RESET = 0x08  # WDRF of MCUSR
 _POWER_ON = 0x01  # PORF of MCUSR
 
 
-@dataclass(frozen=True)
-class BoardTimes:
+class BoardTimes(Rule):
     """Times of the firmware and of its board, ms."""
 
     watchdog: int = 500

@@ -16,12 +16,12 @@ import math
 import socket
 from bisect import insort
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from twinmatch.emulation.clock import LineServer
 from twinmatch.errors import TwinmatchError
+from twinmatch.settings import Rule
 
 KINDS: Final = {
     "drive-lost": "a wire to the plate breaks: no current at any command",
@@ -44,8 +44,7 @@ OF_READINGS: Final = ("sensor-drifts", "sensor-offset", "sensor-slips")
 """Those that `FaultSchedule.told` simulates, for every virtual plant that asks it."""
 
 
-@dataclass(frozen=True)
-class SensorErrors:
+class SensorErrors(Rule):
     """How far the faults of sensors take a reading from the temperature."""
 
     drift: float = 0.8

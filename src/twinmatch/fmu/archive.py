@@ -20,14 +20,14 @@ from xml.etree import ElementTree
 import yaml
 
 from twinmatch.dynamics import Plant, PlantError
+from twinmatch.settings import Rule
 from twinmatch.signals import KELVIN
 
 MAX_BYTES: Final = 512 * 1024 * 1024
 """Largest file, and largest total size of its content, bytes."""
 
 
-@dataclass(frozen=True)
-class _Limits:
+class _Limits(Rule):
     """What an archive may hold, and what is listed of it."""
 
     files: int = 20_000

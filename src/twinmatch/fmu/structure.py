@@ -10,7 +10,6 @@ import hashlib
 import sys
 import threading
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -52,6 +51,7 @@ from twinmatch.fmu.process import (
     value_of,
 )
 from twinmatch.plants.records import MARK
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 _SAMPLES = 1000
@@ -66,8 +66,7 @@ TESTED: Final = 300.0
 """Time over which memory is looked for, s, on a plant with a time constant of 100 s."""
 
 
-@dataclass(frozen=True)
-class _RestartTest:
+class _RestartTest(Rule):
     """The test whether an FMU can be restarted from its states."""
 
     short: int = 8

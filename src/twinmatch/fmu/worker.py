@@ -18,7 +18,6 @@ import signal
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -49,13 +48,13 @@ from twinmatch.fmu.process import (
     unpacked,
     value_of,
 )
+from twinmatch.settings import Rule
 
 MEMORY: Final = 2 << 30
 """Memory that the FMU may use in addition to that of this process before loading, bytes."""
 
 
-@dataclass(frozen=True)
-class _TimeLimit:
+class _TimeLimit(Rule):
     """When the process ends itself, s."""
 
     grace: int = 10

@@ -22,14 +22,14 @@ import numpy as np
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.pace import slow_scale
 from twinmatch.health.earned import Record
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray, Sample
 
 BLOCK: Final = 10.0
 """Length of a block, s: corrections are learned from the means of blocks."""
 
 
-@dataclass(frozen=True)
-class _CorrectionRule:
+class _CorrectionRule(Rule):
     """How the four corrections of a balance are learned."""
 
     warmth: float = 150.0
@@ -58,8 +58,7 @@ TRIAL: Final = 30
 """Number of newest blocks on which other parameters are tried."""
 
 
-@dataclass(frozen=True)
-class _OtherParameters:
+class _OtherParameters(Rule):
     """When other parameters are tried, and taken."""
 
     rough: float = 1.5

@@ -25,14 +25,14 @@ from twinmatch.health.faults import TRAITS, Fault
 from twinmatch.health.late_input import later_inputs
 from twinmatch.health.track_record import HORIZONS, TrackRecord
 from twinmatch.health.tracking import REACH, TrackedBlocks, joined
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray, Sample
 
 _LOSSES: Final = ((math.log(1 / 6), 0.8), (math.log(3.0), 0.6))
 """A fan that fails, a lid that opens: logarithm of the factor, and its spread."""
 
 
-@dataclass(frozen=True)
-class _Spreads:
+class _Spreads(Rule):
     """Spreads of the changes that are expected."""
 
     room: float = 0.8
@@ -52,8 +52,7 @@ class _Spreads:
 _SPREADS: Final = _Spreads()
 
 
-@dataclass(frozen=True)
-class _ChangeSearch:
+class _ChangeSearch(Rule):
     """When changes are looked for, and which of them count."""
 
     onsets: int = 4
@@ -87,8 +86,7 @@ _PASSING: Final = ((3.0, 30.0), (12.0, 30.0), (3.0, 90.0))
 s, within which it changes. A short push may be stronger."""
 
 
-@dataclass(frozen=True)
-class _SlowCourse:
+class _SlowCourse(Rule):
     """Changes that grow evenly."""
 
     time: float = 300.0
@@ -309,8 +307,7 @@ _LESS_ACCURATE: Final = frozenset(
 in an open box is no longer one lump. A sensor offset or a weak drive leaves their accuracy as it was."""
 
 
-@dataclass(frozen=True)
-class _LateInputs:
+class _LateInputs(Rule):
     """How inputs that act later than the equations say compete with changes."""
 
     coarse: float = 2.0

@@ -25,6 +25,7 @@ from twinmatch.health.faults import (
 from twinmatch.health.hypotheses import ChangeRow
 from twinmatch.health.reading_through import ReadThrough
 from twinmatch.health.sentences import FaultSentences
+from twinmatch.settings import Rule
 from twinmatch.signals import Sample
 
 CHANGE: Final = 3.0
@@ -33,8 +34,7 @@ LEAD: Final = 4.0
 """By how much the evidence of a cause must lead every other cause to be named."""
 
 
-@dataclass(frozen=True)
-class _Naming:
+class _Naming(Rule):
     """When a change is named, and when an unnamed one is reported."""
 
     holds: int = 3
@@ -68,8 +68,7 @@ _LEARNED_FIRST: Final = frozenset(
 """Faults that may be parameters that are not known yet."""
 
 
-@dataclass(frozen=True)
-class _Ending:
+class _Ending(Rule):
     """When a change counts as over."""
 
     passed: float = 15.0

@@ -6,12 +6,12 @@ in a plant that is healthy. So every judge keeps a record of them over the same 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+from twinmatch.settings import Rule
 
-@dataclass(frozen=True)
-class _Earning:
+
+class _Earning(Rule):
     """How well forecasts must have come true before a missing effect is told from their error.
 
     0.6 of an effect are missing when it is lost.

@@ -19,14 +19,14 @@ from twinmatch.health.hypotheses import ChangeRow, PlacedFault, rows_of
 from twinmatch.health.mixture import HealthyMixture
 from twinmatch.health.reading_through import ReadThrough, Rehearsal
 from twinmatch.health.sensors import Jump, LearnedSensor
+from twinmatch.settings import Rule
 from twinmatch.signals import BoolArray, FloatArray, Sample
 
 EVERY: Final = 2.0
 """Time between two onsets, s."""
 
 
-@dataclass(frozen=True)
-class _Following:
+class _Following(Rule):
     """Which onsets are followed, and from when on sensors are read through."""
 
     slots: int = 6

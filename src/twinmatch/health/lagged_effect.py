@@ -38,6 +38,7 @@ from twinmatch.health.balance import Movement
 from twinmatch.health.earned import NOTHING, Record
 from twinmatch.health.rivals import Cause, costs_of_causes, effects_of_causes
 from twinmatch.health.traces import FOLLOWS, DriveEffect
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray, Sample
 
 _MEMORY: Final = (300.0, 600.0)
@@ -46,8 +47,7 @@ _FIRST: Final = (10.0, 100.0)
 """Number of stretches for which the assumed ones count: a hundred that overlap are a few movements."""
 
 
-@dataclass(frozen=True)
-class _ErrorRule:
+class _ErrorRule(Rule):
     """What is assumed of the errors of the equations over a stretch."""
 
     clip: float = 3.0
@@ -269,8 +269,7 @@ _SPANS: Final = (10.0, 16.0, 25.0, 40.0, 64.0, 100.0)
 """Lengths of the stretches over which the drive's effect is estimated, s."""
 
 
-@dataclass(frozen=True)
-class _EffectRule:
+class _EffectRule(Rule):
     """Which effects of a drive are compared with the readings, and what is missing of one that is lost."""
 
     apart: float = 1.0
@@ -309,8 +308,7 @@ _MINUTE: Final = -2
 minute."""
 
 
-@dataclass(frozen=True)
-class _ObserverDrifts:
+class _ObserverDrifts(Rule):
     """How the observer of the states is set."""
 
     settled: float = 20.0

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -19,14 +18,14 @@ from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.filters import Readings
 from twinmatch.dynamics.pace import slow_scale
 from twinmatch.dynamics.tracker import Belief, Tracker
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray, Sample
 
 DELAYS_S: Final = (0.0, 2.0, 4.0, 7.0, 10.0, 15.0, 20.0)
 """Delays that are tried, s: up to where a late input and a lost drive look the same for a whole stretch."""
 
 
-@dataclass(frozen=True)
-class _Delays:
+class _Delays(Rule):
     """How the delay of the input is chosen."""
 
     block: float = 10.0

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from twinmatch.dynamics.bank import BankConstants, BankMembers, weigh
 from twinmatch.dynamics.pace import plant_scale, slow_scale
 from twinmatch.dynamics.simulation import begin
 from twinmatch.dynamics.tracker import Assumed
+from twinmatch.settings import Rule
 from twinmatch.signals import BoolArray, FloatArray
 
 LEVELS: Final = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
@@ -32,8 +32,7 @@ _PRIOR_SHARES: Final = (0.7, 0.28, 0.02)
 """Prior probabilities of the levels together, of the other ways together, and of no equations."""
 
 
-@dataclass(frozen=True)
-class _Switching:
+class _Switching(Rule):
     """How healthy explanations replace one another."""
 
     switch: float = 600.0
@@ -49,8 +48,7 @@ AHEAD: Final = (1.0, 5.0, 15.0, 30.0, 60.0, 120.0)
 """How far ahead is forecast, s."""
 
 
-@dataclass(frozen=True)
-class _ForecastRecord:
+class _ForecastRecord(Rule):
     """How the forecasts of a mixture are scored."""
 
     count: int = 5

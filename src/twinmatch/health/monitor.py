@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 from twinmatch.dynamics import Parameters
@@ -29,11 +29,11 @@ from twinmatch.health.sentences import FaultSentences
 from twinmatch.health.settings import HealthSettings
 from twinmatch.health.slow_changes import SlowChanges
 from twinmatch.health.traces import DriveEffect, Effect, Lag, Repeats
+from twinmatch.settings import Rule
 from twinmatch.signals import Sample
 
 
-@dataclass(frozen=True)
-class _Reporting:
+class _Reporting(Rule):
     """When a fault is reported, and when it is over."""
 
     confirm: int = 3

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -18,10 +17,10 @@ from twinmatch.dynamics.bank import (
     step,
     unborn,
 )
+from twinmatch.settings import Rule
 
 
-@dataclass(frozen=True)
-class _Bands:
+class _Bands(Rule):
     """Bands of the estimates that are made without a sensor."""
 
     far: float = 3.0

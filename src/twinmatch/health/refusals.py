@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Final
 
@@ -12,11 +12,11 @@ import numpy as np
 
 from twinmatch.dynamics import Parameters, PlantError
 from twinmatch.health.settings import HealthSettings
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray, Sample, Signals
 
 
-@dataclass(frozen=True)
-class _Implausible:
+class _Implausible(Rule):
     """Which movements a plant cannot have made."""
 
     reach: float = 1.2

@@ -16,11 +16,11 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Parameters, simulate_driven
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 
-@dataclass(frozen=True)
-class _Tried:
+class _Tried(Rule):
     """How causes are simulated and compared."""
 
     every: int = 2

@@ -15,11 +15,11 @@ from twinmatch.health.faults import TRAITS, Evidence, Fault
 from twinmatch.health.sentences import FaultSentences
 from twinmatch.health.settings import HealthSettings
 from twinmatch.health.trial import TwinOnTrial
+from twinmatch.settings import Rule
 from twinmatch.signals import Sample
 
 
-@dataclass(frozen=True)
-class _SlowReports:
+class _SlowReports(Rule):
     """When a slow change is reported."""
 
     agreeing: int = 2
@@ -38,8 +38,7 @@ class _SlowReports:
 _REPORTS: Final = _SlowReports()
 
 
-@dataclass(frozen=True)
-class _SlowEnds:
+class _SlowEnds(Rule):
     """When a reported change is over."""
 
     accept: float = 600.0

@@ -7,20 +7,19 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from twinmatch.health.balance import Movement
 from twinmatch.health.earned import NOTHING
+from twinmatch.settings import Rule
 
 _SPANS: Final = (6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
 """Lengths of the stretches over which the drive's effect is estimated, s."""
 
 
-@dataclass(frozen=True)
-class _ComparedMovements:
+class _ComparedMovements(Rule):
     """Which movements of the drive are compared with the readings."""
 
     least: float = 15.0
@@ -48,8 +47,7 @@ FOLLOWS: Final = (0.6, 2.5)
 """Range of shares of the expected effect that prove that the drive works."""
 
 
-@dataclass(frozen=True)
-class _RepeatRule:
+class _RepeatRule(Rule):
     """When a sensor that repeats its reading is frozen."""
 
     longer: float = 2.0
@@ -71,8 +69,7 @@ class _RepeatRule:
 _REPEATS: Final = _RepeatRule()
 
 
-@dataclass(frozen=True)
-class _LagRule:
+class _LagRule(Rule):
     """How a lag of the input is looked for."""
 
     most: float = 7.0

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,14 +18,14 @@ import numpy as np
 from twinmatch.dynamics.tracker import Tracker
 from twinmatch.health.earned import Record
 from twinmatch.health.tracking import Block, joined
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 HORIZONS: Final = (3, 6, 12)
 """How far ahead the output is forecast, blocks: as long as a change shows before it is reported."""
 
 
-@dataclass(frozen=True)
-class _Scoring:
+class _Scoring(Rule):
     """How forecasts of blocks are scored."""
 
     every: int = 3

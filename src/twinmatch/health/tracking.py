@@ -15,14 +15,14 @@ from twinmatch.dynamics.filters import Readings, Traces
 from twinmatch.dynamics.pace import slow_scale
 from twinmatch.dynamics.tracker import Belief, Tracker
 from twinmatch.health.roughness import Roughness
+from twinmatch.settings import Rule
 from twinmatch.signals import BoolArray, FloatArray, Sample
 
 LEVELS: Final = (0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Levels of assumed model error, in units of that of a real rig."""
 
 
-@dataclass(frozen=True)
-class _LevelChoice:
+class _LevelChoice(Rule):
     """How the level of model error is chosen by which changes are judged."""
 
     blind: int = 4

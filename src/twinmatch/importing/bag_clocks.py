@@ -8,13 +8,13 @@ it, too: the plant moves by that clock.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import chain
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.importing.bags import Series
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 __all__ = ["Times", "times_by_one_clock"]
@@ -23,8 +23,7 @@ Times = dict[str, list[FloatArray]]
 """By signal, for each of its channels the times of its messages, s, in the order of recording."""
 
 
-@dataclass(frozen=True)
-class ClockLikeness:
+class ClockLikeness(Rule):
     """When two clocks are taken as the same one."""
 
     offset: float = 1.0

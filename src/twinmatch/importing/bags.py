@@ -10,7 +10,6 @@ import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
@@ -41,6 +40,7 @@ from twinmatch.sessions.files import ProgressCallback, RecordingError
 from twinmatch.sessions.messages import Message, Topic
 from twinmatch.sessions.metadata import METADATA, counts_listed, files_of, miscounted
 from twinmatch.sessions.scan import Scan
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 
@@ -391,8 +391,7 @@ def _stamp(message: Any) -> float:
     return seconds or float("nan")
 
 
-@dataclass(frozen=True)
-class BagListing:
+class BagListing(Rule):
     """How much of a bag is read for a list of its numbers."""
 
     messages: int = 2000

@@ -7,7 +7,6 @@ of times shows it, but not which of them is right: the user decides. A number of
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -16,13 +15,13 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times, is_since_1970, read_times, unit_in
 from twinmatch.sessions.files import RecordingError
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 __all__ = ["is_record_number", "require_agreement", "unlabelled_clocks"]
 
 
-@dataclass(frozen=True)
-class _Agreement:
+class _Agreement(Rule):
     """When two clocks agree."""
 
     ratio: float = 1.1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -22,6 +21,7 @@ from twinmatch.importing.times import Times, read_times
 from twinmatch.sampling.sources import SignalMap, SignalSource, source_of
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.files import RecordingError
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 from twinmatch.units import measure
 
@@ -82,8 +82,7 @@ _TIME: Final = re.compile(
 )
 
 
-@dataclass(frozen=True)
-class CommandedColumns:
+class CommandedColumns(Rule):
     """Which columns look commanded rather than measured.
 
     A commanded column has few different values, or holds its value and jumps. A slow reading that is rounded
@@ -98,8 +97,7 @@ class CommandedColumns:
     """Usual size of its jumps, as a share of its range."""
 
 
-@dataclass(frozen=True)
-class TitledTimes:
+class TitledTimes(Rule):
     """Which columns that do not grow in each row are taken as times because of their title."""
 
     steps_back: float = 0.1

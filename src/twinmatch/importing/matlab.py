@@ -13,7 +13,6 @@ import math
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from enum import IntEnum
 from io import BytesIO
 from pathlib import Path
@@ -22,6 +21,7 @@ from typing import BinaryIO, Final, NamedTuple
 import numpy as np
 
 from twinmatch.sessions.files import RecordingError, open_regular
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 MAT_BEGINNING: Final = b"MATLAB 5.0 MAT-file"
@@ -35,8 +35,7 @@ _BESIDE_VALUES: Final = 64 * 1024
 """Bytes that a variable may have besides its values: tags, name, padding."""
 
 
-@dataclass(frozen=True)
-class MatlabLimits:
+class MatlabLimits(Rule):
     """How much of a file is read."""
 
     variables: int = 10_000

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 __all__ = ["moving", "share_a_word", "things_in"]
 
 
-@dataclass(frozen=True)
-class _MovingRule:
+class _MovingRule(Rule):
     """When an output moves with an input, by regressions of its changes over blocks of rows."""
 
     sure: float = 8.0

@@ -6,19 +6,18 @@ Such a line would turn its columns into text. It is left out, and a note names i
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from twinmatch.importing.dates import is_date
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 __all__ = ["remark_rows"]
 
 
-@dataclass(frozen=True)
-class _RemarkRule:
+class _RemarkRule(Rule):
     """Which rows may be remarks."""
 
     most: int = 20

@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinmatch.sessions.files import RecordingError
 from twinmatch.sessions.reader import ROUNDED, rounded_period
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 Kind = Literal["reading", "held", "set"]
@@ -38,8 +39,7 @@ Gaps = Literal["refuse", "split"]
 """Treatment of a gap that is too long to interpolate."""
 
 
-@dataclass(frozen=True)
-class StepRules:
+class StepRules(Rule):
     """What steps between rows mean, in usual steps: the usual step is their median."""
 
     bridged: float = 3.0

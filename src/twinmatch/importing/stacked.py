@@ -21,13 +21,13 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.importing.resampling import Kind, bridged_up_to, held_means, usual_step
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times, read_times
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 __all__ = ["SeriesTable", "taken_apart"]
 
 
-@dataclass(frozen=True)
-class _StackRule:
+class _StackRule(Rule):
     """Which tables stack series."""
 
     most: int = 2000

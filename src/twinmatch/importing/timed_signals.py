@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -12,13 +11,13 @@ import numpy as np
 
 from twinmatch.importing.resampling import bridged_up_to, held_means, usual_step
 from twinmatch.sessions.files import RecordingError
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 __all__ = ["Hole", "Loss", "TimedSignal", "rising_signal"]
 
 
-@dataclass(frozen=True)
-class Periodic:
+class Periodic(Rule):
     """Which signals are periodic: those with enough messages, nine of ten of which come in regular steps."""
 
     fewest_messages: int = 10

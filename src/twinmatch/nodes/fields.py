@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
 from twinmatch.dynamics import Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.plants.records import is_marked
+from twinmatch.settings import Rule
 
 Expected = type[Plant] | None
 """The plant whose parameters alone are expected; None: any."""
@@ -24,8 +24,7 @@ class MessageError(TwinmatchError):
     """A message is not what its description says."""
 
 
-@dataclass(frozen=True)
-class FieldSizes:
+class FieldSizes(Rule):
     """The most that a field may hold; messages of twins and plants have far less."""
 
     characters: int = 20_000

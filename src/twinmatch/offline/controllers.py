@@ -35,6 +35,7 @@ from twinmatch.plants import Peltier, plant_named
 from twinmatch.plants.files import load_law
 from twinmatch.sessions import Session
 from twinmatch.sessions.documents import parse_json, read_text
+from twinmatch.settings import Rule
 from twinmatch.signals import MEDIAN_TO_SIGMA, FloatArray, Sample, stretches
 from twinmatch.twin import Outcome, Twin, TwinSettings
 from twinmatch.twin.tried import tried_twins
@@ -47,8 +48,7 @@ VISITED = 3.0
 """Margin around the visited levels, in the output's noise."""
 
 
-@dataclass(frozen=True)
-class _SessionFits:
+class _SessionFits(Rule):
     """How a session is fitted where no verdicts are made."""
 
     window: float = 10.0

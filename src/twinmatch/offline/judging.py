@@ -38,6 +38,7 @@ from twinmatch.parameters.twin import (
 from twinmatch.sessions import Session, samples_of
 from twinmatch.sessions.cdr import decoded
 from twinmatch.sessions.metadata import CANDIDATES, parameters_of
+from twinmatch.settings import Rule
 from twinmatch.signals import Sample, Window, rms, stretches
 from twinmatch.twin import FamilyModels, MatchReport, Outcome, Twin, TwinSettings
 
@@ -186,8 +187,7 @@ def _recorded_candidates(session: Session, path: str) -> tuple[Candidate, ...]:
     return tuple(parse_candidates(text, f"session {session.name}: candidates"))
 
 
-@dataclass(frozen=True)
-class _LawCheck:
+class _LawCheck(Rule):
     """Samples on which a law is compared with a recording."""
 
     begin: int = 60

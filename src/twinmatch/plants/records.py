@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, NoReturn
 
 from twinmatch.description import Description, Quantity
@@ -24,6 +23,7 @@ from twinmatch.dynamics import (
     StructureLostError,
 )
 from twinmatch.plants import Peltier, plant_named
+from twinmatch.settings import Rule
 
 MARK: Final = re.compile(r" \(FMU [0-9a-f]{8}\)$")
 _ANYTHING: Final = (-1e300, 1e300)
@@ -35,8 +35,7 @@ _PARTS: Final = {
 """The part that each of these values implies, in records without a structure."""
 
 
-@dataclass(frozen=True)
-class WithoutEffect:
+class WithoutEffect(Rule):
     """Values with which a part has no effect, for records that have other parts only together with it."""
 
     sink_heat_capacity: float = 1e12

@@ -21,7 +21,7 @@ with a dead time of heater 1 are tried where the others leave too much of a wind
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, ClassVar, Final
 
 from twinmatch.dynamics import (
@@ -38,11 +38,11 @@ from twinmatch.dynamics import (
     State,
     Structure,
 )
+from twinmatch.settings import Rule
 from twinmatch.signals import KELVIN
 
 
-@dataclass(frozen=True)
-class HeaterSurface:
+class HeaterSurface(Rule):
     """The surface of a heater."""
 
     to_room: float = 10e-4

@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.safety.likeness import PERIOD, Likeness
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 
@@ -56,8 +57,7 @@ class SensorWander:
         )
 
 
-@dataclass(frozen=True)
-class Caution:
+class Caution(Rule):
     """How far the estimate may be beyond set-point and reading.
 
     No plate should get further than 15 °C, so a margin of 13 °C is meant for a plant that is known. What the

@@ -26,12 +26,11 @@ from twinmatch.dynamics.pace import time_constant
 from twinmatch.safety.ceiling import Ceiling
 from twinmatch.safety.likeness import PERIOD, Likeness
 from twinmatch.safety.limits import SafetyError, positive
-from twinmatch.settings import setting
+from twinmatch.settings import Rule, setting
 from twinmatch.signals import FloatArray
 
 
-@dataclass(frozen=True)
-class Learning:
+class Learning(Rule):
     """What readings teach of the plant."""
 
     after: float = 240.0
@@ -44,8 +43,7 @@ class Learning:
     is far above the sensor's noise."""
 
 
-@dataclass(frozen=True)
-class KindSpread:
+class KindSpread(Rule):
     """How much plants of one kind differ: standard deviations of their parameters."""
 
     relative: float = 0.6

@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache, reduce
 from typing import Any, Final, NamedTuple, cast
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.settings import Rule
 from twinmatch.units import measure
 
 NUMBERS: Final = frozenset(
@@ -43,8 +43,7 @@ _NAMES: Final = ("name", "names", "joint_names", "interface_names")
 """Fields whose texts name the elements of the lists beside them."""
 
 
-@dataclass(frozen=True)
-class FieldListing:
+class FieldListing(Rule):
     """Which fields of a message a list shows; errors and `--list` show one."""
 
     depth: int = 4

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Final
 
@@ -20,6 +19,7 @@ from twinmatch.sampling.document_paths import (
     steps_of,
 )
 from twinmatch.sampling.quoted import split_unquoted, unquoted_places
+from twinmatch.settings import Rule
 from twinmatch.signals import NANOSECONDS
 
 SPARKPLUG: Final = (
@@ -35,8 +35,7 @@ _MILLISECONDS: Final = 1e11
 """Epochs above are milliseconds: as seconds they would be in the year 5138."""
 
 
-@dataclass(frozen=True)
-class PayloadLimits:
+class PayloadLimits(Rule):
     """How much of a payload is looked at: it may come from anybody who reaches the broker."""
 
     size: int = 1_000_000

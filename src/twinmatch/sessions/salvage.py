@@ -12,7 +12,6 @@ import math
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
 from typing import Final
@@ -20,6 +19,7 @@ from typing import Final
 from twinmatch.sessions.cdr import current, decode_sample, decoded
 from twinmatch.sessions.files import SessionError
 from twinmatch.sessions.messages import SAMPLE, Message
+from twinmatch.settings import Rule
 from twinmatch.signals import NANOSECONDS, Sample
 
 _AROUND: Final = 64
@@ -28,8 +28,7 @@ _MOST: Final = 1000
 """Messages that are compared at once."""
 
 
-@dataclass(frozen=True)
-class Neighbours:
+class Neighbours(Rule):
     """What a message or sample is compared with, and how far from it a time is wrong."""
 
     on_each_side: int = 15

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import timedelta
 from typing import Final, NamedTuple
 
@@ -21,6 +20,7 @@ from rich.text import Text
 from twinmatch.comparing import CandidateScore, TrustLevel, Verdict, statements_of
 from twinmatch.compiled import told
 from twinmatch.offline.summary import nominal_score
+from twinmatch.settings import Rule
 from twinmatch.showing.console import Console
 from twinmatch.showing.family import (
     FamilyTable,
@@ -41,8 +41,7 @@ from twinmatch.showing.verdicts import (
 from twinmatch.twin import MatchReport
 
 
-@dataclass(frozen=True)
-class _Pace:
+class _Pace(Rule):
     """How often the view is drawn."""
 
     shortest: float = 0.25

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from textwrap import fill
 from typing import TYPE_CHECKING, Final
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from twinmatch.dynamics import Plant
 from twinmatch.memory import MemoryReport, ParameterChange
+from twinmatch.settings import Rule
 from twinmatch.showing.figures.drawing import empty, new_figure, stack, styled
 from twinmatch.showing.quantities import ParameterFormat, parameter_format
 from twinmatch.showing.style import MODEL, PLANT
@@ -22,8 +22,7 @@ _NINETY = 1.645
 """Half width of a normal distribution's band of nine in ten, standard deviations."""
 
 
-@dataclass(frozen=True)
-class _NameLimits:
+class _NameLimits(Rule):
     """How names are written."""
 
     most: int = 30

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import logging
 import time
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Final, NamedTuple
@@ -24,6 +23,7 @@ from twinmatch.nodes.topics import LATCHED, NEWEST, Following, wanted
 from twinmatch.parameters.declared import Setting
 from twinmatch.sessions import SessionError
 from twinmatch.sessions.messages import schema_of
+from twinmatch.settings import Rule
 from twinmatch.showing.foxglove.layout import (
     APPLIED,
     IMAGE,
@@ -48,8 +48,7 @@ LARGEST_KEPT = 4_000_000
 """Largest message that is kept for late subscribers, bytes."""
 
 
-@dataclass(frozen=True)
-class _Times:
+class _Times(Rule):
     """Times of the server, s."""
 
     grace: float = 5.0

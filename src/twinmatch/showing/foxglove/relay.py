@@ -8,17 +8,16 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from dataclasses import dataclass
 from typing import Final
 
+from twinmatch.settings import Rule
 from twinmatch.showing.serving import Hosts
 
 REQUEST: Final = 1 << 14
 """Most bytes of a request."""
 
 
-@dataclass(frozen=True)
-class _Connections:
+class _Connections(Rule):
     """Limits of the connections to a server."""
 
     patience: float = 10.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 from bokeh.models import (
@@ -21,6 +20,7 @@ from bokeh.plotting import figure
 from twinmatch.description import Description, Loop, Quantity, nth
 from twinmatch.forecasting import Forecast
 from twinmatch.offline.summary import LevelStretch
+from twinmatch.settings import Rule
 from twinmatch.showing.page.state import RollingTable
 from twinmatch.showing.page.style import MARKS, SHAPES
 from twinmatch.showing.quantities import with_unit
@@ -34,8 +34,7 @@ BAND = 2.0
 """Half width of the residual band, in RMS of the newest samples."""
 
 
-@dataclass(frozen=True)
-class _Ahead:
+class _Ahead(Rule):
     """How much of a forecast is drawn."""
 
     most: float = 300.0

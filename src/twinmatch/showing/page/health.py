@@ -8,12 +8,13 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final
 
+from twinmatch.settings import Rule
+
 OK, WARN, ERROR, STALE = range(4)
 """Levels of REP 107, as on /diagnostics."""
 
 
-@dataclass(frozen=True)
-class _Silence:
+class _Silence(Rule):
     """Times of silence of a node, which reports every second, s."""
 
     patience: float = 4.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any, Final
 
@@ -22,6 +21,7 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from twinmatch.comparing import CandidateScore, Verdict
+from twinmatch.settings import Rule
 from twinmatch.showing.page.style import FONT, panel
 from twinmatch.showing.quantities import number, span_text
 from twinmatch.showing.style import TEXT
@@ -30,8 +30,7 @@ SUM = "Σ"
 """Name of the row with the sum of each column."""
 
 
-@dataclass(frozen=True)
-class _MatrixSize:
+class _MatrixSize(Rule):
     """Sizes of the matrix."""
 
     line: int = 20
