@@ -56,7 +56,7 @@ def ends(tested: Backtest, forecaster: str, horizon: float) -> dict[int, float]:
 
 def test_forecasts_of_readings_that_lie_count_neither_for_nor_against_a_twin() -> None:
     """From sample 700 on the second sensor reads 4 °C too much; both outputs are forecast from its readings."""
-    right = heated()
+    right = heated(750)
     readings = right.outputs.copy()
     readings[700:, 1] += 4.0
     lying = Window(right.references, readings, right.inputs, period=right.period)
