@@ -128,6 +128,7 @@ def test_after_a_rest_nothing_is_shifted_that_counts() -> None:
     assert low <= 60.0 <= high
     assert high - low < 1.0
     assert {"gain", "lag", "rest", "delay"} <= set(result.believed)
+    assert "approximated" not in result.determined
 
 
 def test_a_plant_without_a_dead_time_keeps_its_intervals() -> None:
