@@ -334,14 +334,16 @@ def test_series_that_a_server_answers_are_told_apart_by_their_labels(
 def test_one_object_without_rows_and_a_stream_of_events_lead_on(
     tmp_path: Path,
 ) -> None:
-    with pytest.raises(RecordingError, match=r"without rows in it .it has a, b.; write"):
+    with pytest.raises(
+        RecordingError, match=r"without rows in it .it has a, b.; write"
+    ):
         table_of(tmp_path, '{"a": 1, "b": {"c": 2}}')
     with pytest.raises(RecordingError, match=r"stream of events.* attach --source"):
         table_of(tmp_path, "event: state", 'data: {"id": "sensor-t", "value": 20.5}')
 
 
-def test_what_reads_the_output_is_no_input(tmp_path: Path) -> None:
-    """A meter's largest and smallest value of each interval are beside its reading, and no input."""
+def test_what_reads_the_output_is_not_an_input(tmp_path: Path) -> None:
+    """A meter's largest and smallest value of each interval are beside its reading, and not an input."""
     random = np.random.default_rng(1)
     readings = 20 + np.cumsum(random.standard_normal(200))
     rows = [f"{2 * k},{y:.2f},{y + 0.1:.2f},{y:.2f}" for k, y in enumerate(readings)]

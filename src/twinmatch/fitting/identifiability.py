@@ -34,7 +34,7 @@ _WIDEST = 2.0
 """Largest ratio of the ends of a believed parameter's interval; where zero is arbitrary, the interval must
 not exceed the parameter's scale. A ratio does not depend on where in the valley the estimate lies."""
 _TOLD_SHIFT = 0.02
-"""Least shift of an estimate that is told, as a share of its size."""
+"""Least shift of an estimate that is reported, as a share of its size."""
 _TIGHTER = 3.0
 """Factor by which a ratio of two parameters must be known better than each alone to be reported."""
 

@@ -31,7 +31,7 @@ _UNDECIDED: Final = (
 _NUMBER: Final = re.compile(
     r"(?P<number>[-+−]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>(?!.*[/\s]\s*\d)[^\d\s.,:;_=+-][^,:;_=]*)?"
 )
-"""A number, and a unit behind it: digits in one are exponents, so that `2025/03/04` and `20/50` are no numbers."""
+"""A number, and a unit behind it: digits in one are exponents, so that `2025/03/04` and `20/50` are not numbers."""
 _THOUSANDS: Final = re.compile(r"[-+−]?[1-9]\d{0,2},\d{3}")
 """What may be a separator of thousands as well as a decimal comma."""
 _LONGEST: Final = 60
