@@ -298,6 +298,35 @@ ANSWERS = {
 }  # fmt: skip
 
 
+def test_values_that_are_logged_with_their_names_are_a_table(tmp_path: Path) -> None:
+    rows = [
+        f"ts=2026-03-01T09:15:{k:02d}Z level=info T={20.5 + k % 5} on={k % 2}"
+        for k in range(40)
+    ]
+    table = table_of(tmp_path, *rows)
+    assert list(table.columns) == ["ts", "level", "T", "on"]
+    assert table.values("T").tolist() == [20.5 + k % 5 for k in range(40)]
+    assert proposed(columns_of(table), table)["time"].text == "ts"
+
+
+@pytest.mark.parametrize("has_frame", [True, False])
+def test_a_table_drawn_by_a_client_of_a_database_is_read(
+    tmp_path: Path, has_frame: bool
+) -> None:
+    rule = "+----------+-------+----+" if has_frame else "----------+-------+----"
+    end = "|" if has_frame else ""
+    rows = [
+        f"{end} 00:00:{k:02d} | {20.5 + k % 5:5} | {k % 2:2} {end}" for k in range(40)
+    ]
+    lines = [f"{end} time     | T     | on {end}", rule, *rows]
+    if has_frame:
+        lines = [rule, *lines, rule]
+    table = table_of(tmp_path, *lines, "(40 rows)")
+    assert list(table.columns) == ["time", "T", "on"]
+    values = table.values("T")
+    assert values[np.isfinite(values)].tolist() == [20.5 + k % 5 for k in range(40)]
+
+
 @pytest.mark.parametrize("kind", ANSWERS)
 @pytest.mark.parametrize("indent", [None, 1])
 def test_rows_within_what_a_server_answers_are_a_table(

@@ -22,6 +22,8 @@ _LABEL: Final = re.compile(
     r"(?P<name>[^\W\d][\w .()°%/-]{0,30}?)\s*[:=]\s*(?P<value>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
     r"(?P<unit>\s?(?:°[CF]|[CFKVAW]|%|mA|mV|Hz|rpm))?(?=[\s,;|]|$)"
 )
+_PAIR: Final = re.compile(r"[A-Za-z_][\w.-]*=[^\s=,;]+")
+"""A name and any value, as in lines of `ts=2026-03-01T10:00:00Z level=info temp=20.5`."""
 _BETWEEN: Final = " \t,;|"
 _BEFORE: Final = " \t,;|->[]"
 """What may stand between cells, and between a time and the first of them."""
@@ -56,6 +58,9 @@ def table_of_labels(all_lines: Callable[[], Iterable[Line]]) -> Iterator[Line]:
 
 def _cells(text: str) -> dict[str, str]:
     """The values of a line by their names; empty if something else stands there, or fewer than two values."""
+    words = text.split()
+    if len(words) >= _FEWEST and all(_PAIR.fullmatch(word) for word in words):
+        return dict(word.split("=", 1) for word in words)
     cells: dict[str, str] = {}
     end = 0
     for match in _LABEL.finditer(text):

@@ -29,6 +29,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.importing.annotated import is_annotation, joined_tables
+from twinmatch.importing.boxed_rows import begins_boxed, table_of_boxes
 from twinmatch.importing.cells import Cells, number
 from twinmatch.importing.heads import (
     SPACES,
@@ -280,6 +281,9 @@ def _lines(
             f"{path}: is a stream of events, in which nothing says when they came; take the values of the device "
             "as they come instead, such as over MQTT with twinmatch attach --source mqtt://HOST --list"
         )
+    if first_line is not None and begins_boxed(filled_lines()):
+        yield from table_of_boxes(filled_lines())
+        return
     if first_line is not None and begins_labelled(filled_lines()):
         yield from table_of_labels(filled_lines)
         return
