@@ -114,7 +114,7 @@ def test_the_intervals_of_a_switched_plant_hold_the_truth(
         assert low <= value <= high, result.determined
     if delay >= 40.0:
         gain = result.free.index("gain")
-        # the shift that is told is the one that was made, not a margin that holds everything
+        # the shift that is reported is the one that was made, not a margin that holds everything
         assert result.parameters["gain"] < 55.0
         assert result.intervals[gain, 1] < 80.0
         assert "as the dead time is approximated" in result.determined
@@ -128,6 +128,7 @@ def test_after_a_rest_nothing_is_shifted_that_counts() -> None:
     assert low <= 60.0 <= high
     assert high - low < 1.0
     assert {"gain", "lag", "rest", "delay"} <= set(result.believed)
+    assert "approximated" not in result.determined
 
 
 def test_a_plant_without_a_dead_time_keeps_its_intervals() -> None:

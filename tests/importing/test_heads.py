@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twinmatch.importing.column_map import columns_of, proposed
+from twinmatch.importing.stacked import taken_apart
 from twinmatch.importing.tables import Table, read_table, split_title
 from twinmatch.sessions.files import RecordingError
 from twinmatch.units import quantity_in
@@ -59,11 +61,8 @@ def test_what_is_left_out_is_named_by_its_line(tmp_path: Path) -> None:
     assert table_of(tmp_path, "time,T,on", *ROWS).notes == ()
 
 
-LABELLED = [f"T:{20 + k}.5,duty:{k % 2}" for k in range(40)]
-
-
 @pytest.mark.parametrize(
-    "rows", [ROWS, DATED, LABELLED, [row.replace(",0", ",OFF") for row in DATED]]
+    "rows", [ROWS, DATED, [row.replace(",0", ",OFF") for row in DATED]]
 )
 def test_a_row_is_not_taken_for_names(tmp_path: Path, rows: list[str]) -> None:
     with pytest.raises(
@@ -262,3 +261,123 @@ def test_a_title_has_a_name_and_a_unit(
     title: str, name_and_unit: tuple[str, str]
 ) -> None:
     assert split_title(title) == name_and_unit
+
+
+@pytest.mark.parametrize(
+    ("form", "titles"),
+    [
+        ("T:{t},duty:{u},Set:50.0", ["T", "duty", "Set"]),
+        ("T:{t}\tduty:{u}", ["T", "duty"]),
+        ("T={t} C  PWM={u}", ["T", "PWM"]),
+        ("09:15:{k:02d}.000 -> T={t} C  PWM={u}", ["time", "T", "PWM"]),
+        ("2026-03-01 09:15:{k:02d}, oven temp: {t}°C; heater: {u}%", ["time", "oven temp", "heater"]),
+    ],
+)  # fmt: skip
+def test_values_with_their_names_before_them_are_a_table(
+    tmp_path: Path, form: str, titles: list[str]
+) -> None:
+    """As sketches write them for a plotter, and monitors with the time; a line of text is left out by name."""
+    rows = [form.format(t=20.5 + k % 5, u=k % 2, k=k) for k in range(40)]
+    table = table_of(tmp_path, *rows[:20], "sensor restarted", *rows[20:])
+    assert [title.partition(" (")[0] for title in table.columns] == titles
+    output = next(title for title in table.columns if "T" in title or "temp" in title)
+    values = table.values(output)
+    assert values[np.isfinite(values)].tolist() == [20.5 + k % 5 for k in range(40)]
+    if "time" in titles:
+        assert len(table.texts["time"]) == 40
+
+
+T0 = 1_772_355_600
+ANSWERS = {
+    "influx": {"results": [{"series": [{"name": "oven", "columns": ["time", "T", "on"],
+               "values": [[T0 + 2 * k, 20.5 + k % 5, k % 2] for k in range(40)]}]}]},
+    "columns": {"unit": "s", "data": {"time": [T0 + 2 * k for k in range(40)], "T": [20.5 + k % 5 for k in range(40)],
+                "on": [k % 2 for k in range(40)]}},
+    "objects": {"channel": {"id": 9}, "feeds": [{"time": T0 + 2 * k, "T": f"{20.5 + k % 5} °C", "on": k % 2}
+                for k in range(40)]},
+}  # fmt: skip
+
+
+def test_values_that_are_logged_with_their_names_are_a_table(tmp_path: Path) -> None:
+    rows = [
+        f"ts=2026-03-01T09:15:{k:02d}Z level=info T={20.5 + k % 5} on={k % 2}"
+        for k in range(40)
+    ]
+    table = table_of(tmp_path, *rows)
+    assert list(table.columns) == ["ts", "level", "T", "on"]
+    assert table.values("T").tolist() == [20.5 + k % 5 for k in range(40)]
+    assert proposed(columns_of(table), table)["time"].text == "ts"
+
+
+@pytest.mark.parametrize("has_frame", [True, False])
+def test_a_table_drawn_by_a_client_of_a_database_is_read(
+    tmp_path: Path, has_frame: bool
+) -> None:
+    rule = "+----------+-------+----+" if has_frame else "----------+-------+----"
+    end = "|" if has_frame else ""
+    rows = [
+        f"{end} 00:00:{k:02d} | {20.5 + k % 5:5} | {k % 2:2} {end}" for k in range(40)
+    ]
+    lines = [f"{end} time     | T     | on {end}", rule, *rows]
+    if has_frame:
+        lines = [rule, *lines, rule]
+    table = table_of(tmp_path, *lines, "(40 rows)")
+    assert list(table.columns) == ["time", "T", "on"]
+    values = table.values("T")
+    assert values[np.isfinite(values)].tolist() == [20.5 + k % 5 for k in range(40)]
+
+
+@pytest.mark.parametrize("kind", ANSWERS)
+@pytest.mark.parametrize("indent", [None, 1])
+def test_rows_within_what_a_server_answers_are_a_table(
+    tmp_path: Path, kind: str, indent: int | None
+) -> None:
+    path = tmp_path / "answer.json"
+    path.write_text(json.dumps(ANSWERS[kind], indent=indent), encoding="utf-8")
+    table = read_table(path)
+    assert list(table.columns) == ["time", "T", "on"]
+    assert table.values("time").tolist() == [T0 + 2 * k for k in range(40)]
+    assert table.values("T").tolist() == [20.5 + k % 5 for k in range(40)]
+
+
+@pytest.mark.parametrize("labels", [("t", "u"), ("v", "v")])
+def test_series_that_a_server_answers_are_told_apart_by_their_labels(
+    tmp_path: Path, labels: tuple[str, str]
+) -> None:
+    """Names of Prometheus, or where they are the same, the labels by which they differ."""
+    series = []
+    for number, name in enumerate(labels):
+        values = [[T0 + 2 * k, str(k % (number + 2))] for k in range(40)]
+        metric = {"__name__": name, "place": f"p{number}"}
+        series.append({"metric": metric, "values": values})
+    path = tmp_path / "answer.json"
+    path.write_text(json.dumps({"status": "success", "data": {"result": series}}))
+    table = taken_apart(read_table(path))
+    ends = [title for title in table.columns if title.startswith("value[")]
+    names = ["t", "u"] if labels[0] == "t" else ["v place=p0", "v place=p1"]
+    assert ends == [f"value[{name}]" for name in names]
+    values = table.values(ends[1])
+    assert values[np.isfinite(values)].tolist() == [k % 3 for k in range(40)]
+
+
+def test_one_object_without_rows_and_a_stream_of_events_lead_on(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(
+        RecordingError, match=r"without rows in it .it has a, b.; write"
+    ):
+        table_of(tmp_path, '{"a": 1, "b": {"c": 2}}')
+    with pytest.raises(RecordingError, match=r"stream of events.* attach --source"):
+        table_of(tmp_path, "event: state", 'data: {"id": "sensor-t", "value": 20.5}')
+
+
+def test_what_reads_the_output_is_not_an_input(tmp_path: Path) -> None:
+    """A meter's largest and smallest value of each interval are beside its reading, and not an input."""
+    random = np.random.default_rng(1)
+    readings = 20 + np.cumsum(random.standard_normal(200))
+    rows = [f"{2 * k},{y:.2f},{y + 0.1:.2f},{y:.2f}" for k, y in enumerate(readings)]
+    table = table_of(tmp_path, "time,Sample,Max,Average", *rows)
+    assert "input" not in proposed(columns_of(table), table)
+    rows = [f"{row},{k % 7}" for k, row in enumerate(rows)]
+    table = table_of(tmp_path, "time,Sample,Max,Average,other", *rows)
+    assert proposed(columns_of(table), table)["input"].text == "other"

@@ -30,6 +30,8 @@ from twinmatch.sessions.files import RecordingError
         ("0,125", 0.125, ""),
         ("1e3", 1000.0, ""),
         ("12 m³/h", 12.0, "m³/h"),
+        ("12 m3/h", 12.0, "m3/h"),
+        ("3 /min", 3.0, "/min"),
     ],
 )
 def test_what_devices_write_is_a_number_with_its_unit(

@@ -127,7 +127,8 @@ def _proposal(options: argparse.Namespace) -> Proposal | SeveralProposal:
         words = shlex.join(
             f"{signal}={source.text}" for signal, source in signal_map.sources.items()
         )
-        print(f"Columns guessed as: --map {words}")
+        if words:
+            print(f"Columns guessed as: --map {words}")
         if seen_by_controller(columns, signal_map.sources):
             print(SEEN)
         if several := of_all_loops(columns, signal_map.sources):

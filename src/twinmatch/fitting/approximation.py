@@ -166,7 +166,7 @@ def _delayed_drives(model: Model) -> tuple[_DelayedDrive, ...]:
 
 def _drive_before(model: Model, mean: str, rate: Any) -> _DelayedDrive | None:
     """The drive that a chain delays; None if the chain is not in use, delays something else, or by a time that
-    is no parameter.
+    is not a parameter.
 
     The mean over a dead time θ changes at (signal − mean − …)/θ.
     """

@@ -143,14 +143,14 @@ class Uncertainty:
         )
 
     def condition_of(self, places: Sequence[int]) -> float:
-        """Condition number of the scaled Jacobian for the parameters at these places, the others being fitted with
-        them: that of the information which is left for them."""
-        others = [i for i in range(self.scales.size) if i not in places]
-        if not others or not math.isfinite(self.condition):
+        """Condition number of the scaled Jacobian for the parameters at these places, while all are fitted: that of
+        the information which is left for them."""
+        left_out = [i for i in range(self.scales.size) if i not in places]
+        if not left_out or not math.isfinite(self.condition):
             return self.condition
         scaled = self.fisher * np.outer(self.scales, self.scales)
-        between = scaled[np.ix_(others, places)]
-        taken = between.T @ np.linalg.solve(scaled[np.ix_(others, others)], between)
+        between = scaled[np.ix_(left_out, places)]
+        taken = between.T @ np.linalg.solve(scaled[np.ix_(left_out, left_out)], between)
         eigenvalues = np.linalg.eigvalsh(scaled[np.ix_(places, places)] - taken)
         if not eigenvalues[0] > _ROUNDING * eigenvalues[-1]:
             return math.inf

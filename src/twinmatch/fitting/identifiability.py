@@ -33,6 +33,8 @@ from twinmatch.signals import FloatArray, Window
 _WIDEST = 2.0
 """Largest ratio of the ends of a believed parameter's interval; where zero is arbitrary, the interval must
 not exceed the parameter's scale. A ratio does not depend on where in the valley the estimate lies."""
+_TOLD_SHIFT = 0.02
+"""Least shift of an estimate that is reported, as a share of its size."""
 _TIGHTER = 3.0
 """Factor by which a ratio of two parameters must be known better than each alone to be reported."""
 
@@ -248,14 +250,21 @@ def _with_shift(
 def _sentence_on_shift(
     problem: Problem, values: FloatArray, shift: FloatArray, covariance: FloatArray
 ) -> str:
-    """A clause on the parameter that a dead time's approximation shifts most; empty if the noise hides it."""
-    n_free = len(problem.free)
-    errors = np.sqrt(np.diag(covariance))[:n_free]
-    if not np.isfinite(errors).all():
-        return ""
-    in_errors = np.abs(shift[:n_free]) / errors
-    place = int(np.argmax(in_errors))
-    if in_errors[place] <= 1.0:
+    """A clause on the parameter that a dead time's approximation shifts most, in its size.
+
+    It is empty if the noise hides all shifts, or none is large.
+    """
+    errors = np.sqrt(np.diag(covariance))
+    place = -1
+    largest = _TOLD_SHIFT
+    for i in range(len(problem.free)):
+        unknown = problem.unknowns[i]
+        size = abs(values[i]) if unknown.relative else unknown.scale
+        share = abs(shift[i]) / size if size > 0.0 else 0.0
+        if share > largest and abs(shift[i]) > errors[i]:
+            place = i
+            largest = share
+    if place < 0:
         return ""
     way = "low" if shift[place] < 0.0 else "high"
     return (

@@ -106,6 +106,9 @@ class TitledTimes(Rule):
     """Largest share of rows that may repeat the time before."""
 
 
+_COPIED: Final = 0.05
+"""Largest standard deviation of the difference of two columns that read one thing, as a share of that of each:
+an input moves before its output."""
 _FEWEST_EVEN: Final = 20
 """Fewest equal steps that only a time makes."""
 _COMMANDED: Final = CommandedColumns()
@@ -321,6 +324,8 @@ def proposed(
     With the `table` itself, further inputs are `input.2` and so on: those with which the output moves, too.
     """
     chosen = _chosen(columns)
+    if table is not None:
+        _replace_copy(columns, chosen, table)
     if table is not None and "output" not in chosen and "room" in chosen:
         chosen["output"] = chosen.pop("room")
     _pair_by_name(columns, chosen)
@@ -354,6 +359,43 @@ def _chosen(columns: Sequence[Column]) -> dict[str, Column]:
         if signal not in chosen and free:
             chosen[signal] = free[0]
     return chosen
+
+
+def _replace_copy(
+    columns: Sequence[Column], chosen: dict[str, Column], table: Table
+) -> None:
+    """Take no column for the input that reads what the output does, such as the largest value of each interval.
+
+    Another one that is left takes its place; without one there is no input. One that is called an input stays.
+    """
+    output = chosen.get("output")
+    guessed = chosen.get("input")
+    if output is None or guessed is None or _INPUT.search(guessed.short_name):
+        return
+    if not _is_copy(table, guessed.title, output.title):
+        return
+    del chosen["input"]
+    for column in _of_kind(columns, "numbers"):
+        is_free = column not in chosen.values() and not column.even
+        if is_free and not _is_copy(table, column.title, output.title):
+            chosen["input"] = column
+            return
+
+
+def _is_copy(table: Table, title: str, of_title: str) -> bool:
+    """Whether a column differs little from another one in each row."""
+    try:
+        column = table.values(title)
+        original = table.values(of_title)
+    except TwinmatchError:
+        return False
+    is_there = np.isfinite(column) & np.isfinite(original)
+    if not is_there.any():
+        return False
+    difference = column[is_there] - original[is_there]
+    movement = float(np.std(original[is_there]))
+    is_near = float(np.abs(np.mean(difference))) <= movement
+    return is_near and float(np.std(difference)) < _COPIED * movement
 
 
 def _pair_by_name(columns: Sequence[Column], chosen: dict[str, Column]) -> None:

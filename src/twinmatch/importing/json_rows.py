@@ -1,4 +1,5 @@
-"""Rows as JSON objects, one per line (JSON Lines) or in one array, as scripts and flows log them.
+"""Rows as JSON objects, one per line (JSON Lines), in one array or in one document, as scripts, flows and servers
+write them.
 
 They become a line of names and rows of cells: `{"ts": 1, "oven": {"temp": 20.5}}` has the columns `ts` and
 `oven.temp`.
@@ -10,16 +11,20 @@ import csv
 import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
 from twinmatch.importing.heads import Line
+from twinmatch.importing.json_documents import rows_in
 from twinmatch.sessions.files import RecordingError
 
 __all__ = ["begins_as_json", "table_of_objects"]
 
 _DEEPEST: Final = 20
 """How deep objects may stand within objects."""
+_KEYS_NAMED: Final = 5
+"""Most names of an object that a message names."""
 
 
 def begins_as_json(text: str) -> bool:
@@ -56,18 +61,42 @@ def _objects(path: Path, lines: Iterable[Line]) -> Iterator[tuple[int, dict[str,
     if is_one_text:
         text = "\n".join([first.text, *(line.text for line in remaining)])
         whole = _decoded(path, 1, text)
-        for place, entry in enumerate(whole if isinstance(whole, list) else [whole], 1):
-            yield place, _cells(path, place, entry)
+        yield from _objects_of_document(path, whole)
         return
-    yield (
-        first.place,
-        _cells(path, first.place, _decoded(path, first.place, first.text)),
-    )
-    for line in remaining:
+    decoded = _decoded(path, first.place, first.text)
+    second = next(remaining, None)
+    if second is None:
+        yield from _objects_of_document(path, decoded)
+        return
+    yield first.place, _cells(path, first.place, decoded)
+    for line in chain([second], remaining):
         yield (
             line.place,
             _cells(path, line.place, _decoded(path, line.place, line.text)),
         )
+
+
+def _objects_of_document(
+    path: Path, document: object
+) -> Iterator[tuple[int, dict[str, str]]]:
+    """The cells of the rows in one document, with the place of each among them."""
+    entries = document if isinstance(document, list) else [document]
+    if isinstance(document, Mapping):
+        entries = [*rows_in(document)]
+        if not entries:
+            raise RecordingError(
+                f"{path}: is one JSON object without rows in it ({_keys(document)}); write one object per "
+                'line, such as {"time": 0, "T": 20}, or a list of them'
+            )
+    for place, entry in enumerate(entries, 1):
+        yield place, _cells(path, place, entry)
+
+
+def _keys(document: Mapping[str, object]) -> str:
+    """The first names in an object."""
+    return (
+        f"it has {', '.join([*document][:_KEYS_NAMED])}" if document else "it is empty"
+    )
 
 
 def _decoded(path: Path, place: int, text: str) -> object:

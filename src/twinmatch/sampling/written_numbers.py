@@ -29,8 +29,9 @@ _UNDECIDED: Final = (
 )
 """Words of climate devices whose effect depends on the plant: one that dries or defrosts may cool as it does so."""
 _NUMBER: Final = re.compile(
-    r"(?P<number>[-+−]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>[^\d\s.,:;_=+-][^,:;_=]*)?"
+    r"(?P<number>[-+−]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>(?!.*[/\s]\s*\d)[^\d\s.,:;_=+-][^,:;_=]*)?"
 )
+"""A number, and a unit behind it: digits in one are exponents, so that `2025/03/04` and `20/50` are not numbers."""
 _THOUSANDS: Final = re.compile(r"[-+−]?[1-9]\d{0,2},\d{3}")
 """What may be a separator of thousands as well as a decimal comma."""
 _LONGEST: Final = 60
