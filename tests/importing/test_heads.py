@@ -371,6 +371,37 @@ def test_one_object_without_rows_and_a_stream_of_events_lead_on(
         table_of(tmp_path, "event: state", 'data: {"id": "sensor-t", "value": 20.5}')
 
 
+LOGS = {
+    "a console": (
+        '10:00:00.120 MQT: tele/plug/SENSOR = {"DS18B20":{"Temperature":20.5}}',
+        "10:00:00.130 MQT: stat/plug/POWER = ON",
+    ),
+    "topics": ("home/boiler/temperature 20.5", 'home/valve {"position": 40}'),
+    "a Modbus client": ("-- Polling slave...", "[100]: 2050", "[101]: 40"),
+    "a printer": ("ok T:20.5 /60.0 B:20.1 /0.0 @:127 B@:0",),
+}
+
+
+@pytest.mark.parametrize("kind", LOGS)
+def test_what_a_program_printed_is_said_with_the_way_out(
+    kind: str, tmp_path: Path
+) -> None:
+    with pytest.raises(
+        RecordingError, match=r": is (the|a|what) .*; (take|read|write) .*: \S+"
+    ):
+        table_of(tmp_path, *(LOGS[kind] * 20))
+
+
+def test_tables_with_dates_and_names_like_those_logs_are_read(tmp_path: Path) -> None:
+    """Dates with slashes, a column of topics beside one of times, and a name with `T`."""
+    dates = [f"2025/03/04 10:00:{k:02d} {20 + k} {k % 2}" for k in range(40)]
+    table = table_of(tmp_path, "date time T/C duty", *dates)
+    assert table.values("duty").tolist() == [k % 2 for k in range(40)]
+    topics = [f"{k},home/boiler/T,{20 + k}" for k in range(40)]
+    table = table_of(tmp_path, "time,topic,value", *topics)
+    assert table.values("value").tolist() == [20 + k for k in range(40)]
+
+
 def test_what_reads_the_output_is_not_an_input(tmp_path: Path) -> None:
     """A meter's largest and smallest value of each interval are beside its reading, and not an input."""
     random = np.random.default_rng(1)

@@ -42,6 +42,7 @@ from twinmatch.importing.heads import (
 from twinmatch.importing.json_rows import begins_as_json, table_of_objects
 from twinmatch.importing.labelled_rows import begins_labelled, table_of_labels
 from twinmatch.importing.matlab import read_matrices
+from twinmatch.importing.message_logs import message_log
 from twinmatch.importing.remarks import remark_rows
 from twinmatch.sessions.files import (
     ProgressCallback,
@@ -97,8 +98,6 @@ TEXTS: Final = frozenset(
 _POINT: Final = re.compile(r"\s*[-+]?[\d,]*\d\.\d+\s*")
 """A number with a decimal point: commas of the same table separate thousands."""
 _ARCHIVE: Final = b"PK\x03\x04"
-_EVENT: Final = re.compile(r"(?:event|data|retry):(?: |$)|id: *\d+$")
-"""The first line of a stream of events that a browser listens to."""
 _WESTERN: Final = "cp1252"
 """What Windows programs write where they do not write UTF-8: `°` and `µ` are single bytes."""
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0e-\x1f\x7f\x81\x8d\x8f\x90\x9d]")
@@ -276,11 +275,9 @@ def _lines(
     if first_line is not None and begins_as_json(first_line.text):
         yield from table_of_objects(path, filled_lines)
         return
-    if first_line is not None and _EVENT.match(first_line.text):
-        raise RecordingError(
-            f"{path}: is a stream of events, in which nothing says when they came; take the values of the device "
-            "as they come instead, such as over MQTT with twinmatch attach --source mqtt://HOST --list"
-        )
+    log = message_log(filled_lines())
+    if log is not None:
+        raise RecordingError(f"{path}: is {log.text}; {log.way_out}")
     if first_line is not None and begins_boxed(filled_lines()):
         yield from table_of_boxes(filled_lines())
         return
