@@ -102,7 +102,7 @@ def test_a_shifted_sensor_is_named_in_a_loop_that_follows_it_and_until_it_is_bac
     """3 °C in one reading; the controller cools the heater until the reading is back at the set-point."""
     [shifted], after = alarms("reading+3", 0)
     assert shifted.fault.value == "sensor-drift"
-    size = re.search(r"shifted by \+([\d.]+) °C", shifted.reason)
+    size = re.search(r"off by about \+([\d.]+) °C", shifted.reason)
     assert size is not None
     assert float(size[1]) == pytest.approx(3.0, abs=0.2)
     assert not after

@@ -184,19 +184,23 @@ def test_where_ros_is_installed_the_graph_listens_to_the_broker(home: Home) -> N
 
 
 def test_a_broker_that_is_gone_is_a_gap_and_a_run_that_is_killed_leaves_a_session_that_is_repaired(
-    home: Home,
+    home: Home, house: House
 ) -> None:
-    """The gap is reported, and what was recorded on both its sides is there."""
+    """The gap is reported, and what was recorded on both its sides is there.
+
+    A broker that is killed forgets what it kept, and the page's home says only what is new: with it, it begins
+    again.
+    """
     run = home.attach("--alone", dashboard=False)
     run.said(r"^t / s")
     home.broker.kill()
     run.said(r"output: .*the connection to the broker at 127.0.0.1:\d+ is lost", FIRST)
-    home.broker.start()
+    house.mend()
     run.said(r"output: there are values again", FIRST)
     folder = home.folder / "first"
     wait_for(
         lambda: any(f.stat().st_size > 20_000 for f in folder.glob("*.mcap")),
-        "samples on the disk",
+        lambda: f"samples on the disk: {run.text}",
     )
     run.kill()
     assert repair_session(folder).messages > 20
