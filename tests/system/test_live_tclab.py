@@ -37,7 +37,7 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     config = tmp_path / "kit.yaml"
     config.write_text(
         "controller:\n  ros__parameters:\n"
-        "    profile.levels: [35.0, 50.0, 42.0]\n    profile.holds: [15.0, 115.0, 20.0]\n"
+        "    profile.levels: [35.0, 50.0, 42.0]\n    profile.holds: [15.0, 155.0, 10.0]\n"
         "    profile.repeat: false\n    exit_at_end: true\n"
         "    command_period: 0.5\n"  # the kit waits at each
     )
@@ -69,7 +69,7 @@ def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     assert not any("pwm" in topic for topic in topics)
     begun = re.search(r"drive-lost begins at (\S+) s", process.text)
     assert begun, process.text
-    assert [sample.index for sample in samples] == list(range(150))
+    assert [sample.index for sample in samples] == list(range(180))
     assert "matched on samples" in process.text
     assert "drive-lost: the drive should have moved" in process.text
     assert samples[0].disturbances == (0.0,)
