@@ -82,12 +82,12 @@ def _beats_no_change(score: Document, k: int, *, was_trusted: bool) -> bool:
 
 
 def _is_behind_arx(score: Document, k: int, *, was_trusted: bool) -> bool:
-    """Worse by more than a tenth, as measured; once trusted, by a tenth at the upper end of the interval of
-    its skill."""
+    """Worse by more than a tenth and 1.25 standard errors; once trusted, by a tenth at the upper end of the
+    interval of its skill."""
     log_ratio, error = _errors(score, "arx", k)
     if was_trusted:
         return log_ratio - _ONE_SIDED * error > math.log(1.1)
-    return log_ratio > math.log(1.1)
+    return log_ratio > max(math.log(1.1), 1.25 * error)
 
 
 def _bands_hold(score: Document, k: int, *, was_trusted: bool) -> bool:

@@ -210,11 +210,11 @@ class ForecastScore:
     ) -> dict[float, Shortfall]:
         """Where its forecasts do not pass the test, and why, by horizon, s; at the others they are trusted.
 
-        They pass if they are better than saying that nothing changes, by more than chance; if ARX, as
-        measured, is not better by more than a tenth; and if their bands do not hold less than they promise,
-        by more than chance. At horizons that were `trusted` before, the contrary has to be shown: that ARX is
-        better by more than a tenth, by the upper end of its interval. Where both baselines are better, the
-        better one is named.
+        They pass if they are better than saying that nothing changes, by more than chance; if ARX is not
+        better by more than chance and a tenth; and if their bands do not hold less than they promise, by more
+        than chance. At horizons that were `trusted` before, the contrary has to be shown: that ARX is better
+        by more than a tenth, by the upper end of its interval. Where both baselines are better, the better
+        one is named.
         """
         doubts = {h: self._doubt(k, held=h in trusted) for k, h in enumerate(horizons)}
         return {
@@ -253,7 +253,7 @@ class ForecastScore:
 
     def _behind_arx(self, k: int, *, held: bool) -> Shortfall | None:
         error, sure = self._behind("arx", k, _TENTH if held else 1.0)
-        if error > _TENTH and (not held or sure > ONE_SIDED):
+        if error > _TENTH and sure > (ONE_SIDED if held else _SHOWN / 2.0):
             return Shortfall(_ARX.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
         return None
 
