@@ -88,7 +88,9 @@ class Durations:
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         report = yield
         computed = processor_seconds()
-        report.computed = computed - self._computed_before  # type: ignore[attr-defined]  # travels with it
+        # What a grandchild has used is lost when nobody waits for it, as happens to a browser's.
+        used = max(0.0, computed - self._computed_before)
+        report.computed = used  # type: ignore[attr-defined]  # travels with it
         self._computed_before = computed
         return report
 
