@@ -70,7 +70,10 @@ class Rig(HeaterRig):
 
     def drive(self, kit: BenchKit, *powers: float) -> None:
         self.sent = list(powers)
-        self.until(lambda: kit.heaters[: len(powers)] == list(powers), f"{powers} %")
+        self.listener.spin_until(
+            lambda: kit.heaters[: len(powers)] == list(powers),
+            lambda: f"{powers} %; the bridge says {self.fault!r}",
+        )
 
     def faulted(self, kind: str, kit: BenchKit) -> None:
         self.until(lambda: self.fault.startswith(f"{kind}: "), kind)

@@ -1,4 +1,4 @@
-"""Texts that are what a program or a device printed, and no table: what each is, and how its values can be had."""
+"""Texts that a program or a device printed instead of a table: what each is, and how its values can be had."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ MESSAGE_LOGS: Final = (
 
 
 def message_log(lines: Iterable[Line]) -> MessageLog | None:
-    """The kind of text that these lines begin, if it is one of those that are no table."""
+    """The kind of text that these lines begin, if it is one of those that cannot be tables."""
     texts = [line.text for line in islice(lines, _LINES)]
     for kind in MESSAGE_LOGS:
         matching = [text for text in texts if kind.line.search(text)]
