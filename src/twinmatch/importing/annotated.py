@@ -7,11 +7,10 @@ names. The tables become one, with the columns of all.
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
-from twinmatch.importing.heads import Line
+from twinmatch.importing.heads import Line, line_of
 
 __all__ = ["is_annotation", "joined_tables"]
 
@@ -34,7 +33,7 @@ def joined_tables(all_lines: Callable[[], Iterable[Line]]) -> Iterator[Line]:
         if not first_place:
             first_place = line.place
         titles.update(dict.fromkeys(_cells(line.text)))
-    yield Line(first_place, _written(list(titles)))
+    yield line_of(first_place, titles)
     for names_line, rows in _with_names(all_lines()):
         yield from _rearranged(_cells(names_line.text), list(titles), rows)
 
@@ -79,14 +78,8 @@ def _rearranged(
         for title in titles:
             place = places.get(title, len(cells))
             arranged.append(cells[place] if place < len(cells) else "")
-        yield Line(line.place, _written(arranged))
+        yield line_of(line.place, arranged)
 
 
 def _cells(text: str) -> list[str]:
     return next(csv.reader([text]), [])
-
-
-def _written(cells: Sequence[str]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="").writerow(cells)
-    return text.getvalue()

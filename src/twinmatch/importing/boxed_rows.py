@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
-from collections.abc import Iterable, Iterator
-from itertools import islice
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
-from twinmatch.importing.heads import Line
+from twinmatch.importing.heads import Line, line_of
 
 __all__ = ["begins_boxed", "table_of_boxes"]
 
 _RULE: Final = re.compile(r"\s*[+|]?[-=:\s]*-{2,}[-=:\s]*[+|][-=:+|\s]*")
 """A line that separates rows."""
-_LINES: Final = 3
-"""Lines at the beginning of a file among which the first rule stands."""
 
 
-def begins_boxed(lines: Iterable[Line]) -> bool:
+def begins_boxed(first_lines: Sequence[Line]) -> bool:
     """Whether a rule and a line with `|` are among the first lines."""
-    texts = [line.text for line in islice(lines, _LINES)]
-    has_rule = any(_RULE.fullmatch(text) for text in texts)
-    return has_rule and any("|" in text for text in texts if not _RULE.fullmatch(text))
+    rows = [line.text for line in first_lines if not _RULE.fullmatch(line.text)]
+    has_rule = len(rows) < len(first_lines)
+    return has_rule and any("|" in row for row in rows)
 
 
 def table_of_boxes(lines: Iterable[Line]) -> Iterator[Line]:
@@ -35,7 +30,4 @@ def table_of_boxes(lines: Iterable[Line]) -> Iterator[Line]:
             yield line
             continue
         inner = line.text.strip().removeprefix("|").removesuffix("|")
-        text = io.StringIO()
-        cells = [cell.strip() for cell in inner.split("|")]
-        csv.writer(text, lineterminator="").writerow(cells)
-        yield Line(line.place, text.getvalue())
+        yield line_of(line.place, (cell.strip() for cell in inner.split("|")))

@@ -7,9 +7,10 @@ line of numbers and dates has no names: it is a row, and must not get lost as na
 from __future__ import annotations
 
 import csv
+import io
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -18,7 +19,16 @@ from twinmatch.importing.dates import is_date
 from twinmatch.sessions.files import RecordingError
 from twinmatch.units import measure, quantity_in
 
-__all__ = ["Head", "Line", "head_of", "split_title", "with_units", "with_whole_quotes"]
+__all__ = [
+    "FIRST_LINES",
+    "Head",
+    "Line",
+    "head_of",
+    "line_of",
+    "split_title",
+    "with_units",
+    "with_whole_quotes",
+]
 
 _SEPARATORS: Final = ",;\t"
 _SEPARATOR_LINE: Final = re.compile(r"^\s*sep=(.)\s*$", re.IGNORECASE)
@@ -30,6 +40,8 @@ _UNIT_FIRST: Final = re.compile(r"[(\[](?P<unit>[^()\[\]]+)[)\]]\s*(?P<name>\S.*
 """A title with its unit before the name, as in `[°C] Probe 1`."""
 _LABELLED: Final = re.compile(r"[^:]*[^:\d\s][^:]*[:=]\s*[-+]?\d[\d.,]*\s*\S{0,5}")
 """A value behind its name, as in `Temp:20.5`."""
+FIRST_LINES: Final = 3
+"""Lines at the beginning of a file that show in what form it is written."""
 SPACES: Final = " "
 """Separator of tables whose cells have spaces between them, as many as the writer likes."""
 
@@ -40,6 +52,13 @@ class Line(NamedTuple):
     place: int
     """From 1."""
     text: str
+
+
+def line_of(place: int, cells: Iterable[str]) -> Line:
+    """The line of a table with these cells, separated by commas."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="").writerow(cells)
+    return Line(place, text.getvalue())
 
 
 class Head(NamedTuple):

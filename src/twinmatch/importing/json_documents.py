@@ -11,28 +11,28 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
-_DEEPEST: Final = 20
-"""How deep rows may stand within a document."""
+DEEPEST: Final = 20
+"""How deep rows may stand within a document, and objects within a row."""
 _FEWEST: Final = 2
 """Fewest objects of a list that are rows."""
 
 
 def rows_in(document: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
     """The rows in a document, each an object; empty if it has none."""
-    tables = list(_objects_with(document, ("columns", "values"), _DEEPEST))
+    tables = list(_objects_with(document, ("columns", "values"), DEEPEST))
     if tables:
         return _rows_below_names(tables)
-    series = list(_objects_with(document, ("metric", "values"), _DEEPEST))
+    series = list(_objects_with(document, ("metric", "values"), DEEPEST))
     if series:
         return _rows_of_series(series)
-    columns = next(_objects_of_columns(document, _DEEPEST), None)
+    columns = next(_objects_of_columns(document, DEEPEST), None)
     if columns is not None:
         return [
             dict(zip(columns, cells, strict=True))
             for cells in zip(*columns.values(), strict=True)
         ]
     longest: Sequence[Mapping[str, Any]] = ()
-    for rows in _lists_of_objects(document, _DEEPEST):
+    for rows in _lists_of_objects(document, DEEPEST):
         if len(rows) > len(longest):
             longest = rows
     return longest if len(longest) >= _FEWEST else ()

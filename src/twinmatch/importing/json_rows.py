@@ -7,22 +7,18 @@ They become a line of names and rows of cells: `{"ts": 1, "oven": {"temp": 20.5}
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain
 from pathlib import Path
 from typing import Final
 
-from twinmatch.importing.heads import Line
-from twinmatch.importing.json_documents import rows_in
+from twinmatch.importing.heads import Line, line_of
+from twinmatch.importing.json_documents import DEEPEST, rows_in
 from twinmatch.sessions.files import RecordingError
 
 __all__ = ["begins_as_json", "table_of_objects"]
 
-_DEEPEST: Final = 20
-"""How deep objects may stand within objects."""
 _KEYS_NAMED: Final = 5
 """Most names of an object that a message names."""
 
@@ -46,9 +42,9 @@ def table_of_objects(
     titles: dict[str, None] = {}
     for _, cells in _objects(path, all_lines()):
         titles.update(dict.fromkeys(cells))
-    yield Line(1, _written(titles))
+    yield _row(1, titles)
     for place, cells in _objects(path, all_lines()):
-        yield Line(place, _written(cells.get(title, "") for title in titles))
+        yield _row(place, (cells.get(title, "") for title in titles))
 
 
 def _objects(path: Path, lines: Iterable[Line]) -> Iterator[tuple[int, dict[str, str]]]:
@@ -113,7 +109,7 @@ def _cells(path: Path, place: int, entry: object) -> dict[str, str]:
         raise RecordingError(
             f'{path}, row {place}: is not an object; each row must be one, such as {{"time": 0, "T": 20}}'
         )
-    return dict(_flattened("", entry, _DEEPEST))
+    return dict(_flattened("", entry, DEEPEST))
 
 
 def _flattened(
@@ -128,9 +124,6 @@ def _flattened(
             yield f"{prefix}{name}", "" if value is None else str(value)
 
 
-def _written(cells: Iterable[str]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="").writerow(
-        " ".join(cell.split()) for cell in cells
-    )
-    return text.getvalue()
+def _row(place: int, cells: Iterable[str]) -> Line:
+    """The line of these cells, each in one line."""
+    return line_of(place, (" ".join(cell.split()) for cell in cells))

@@ -6,15 +6,12 @@ monitors put it there: `09:15:00.250 -> T=20.5 duty=40`.
 
 from __future__ import annotations
 
-import csv
-import io
 import re
-from collections.abc import Callable, Iterable, Iterator
-from itertools import islice
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
 from twinmatch.importing.dates import clock_seconds, is_date
-from twinmatch.importing.heads import Line
+from twinmatch.importing.heads import FIRST_LINES, Line, line_of
 
 __all__ = ["begins_labelled", "table_of_labels"]
 
@@ -27,17 +24,14 @@ _PAIR: Final = re.compile(r"[A-Za-z_][\w.-]*=[^\s=,;]+")
 _BETWEEN: Final = " \t,;|"
 _BEFORE: Final = " \t,;|->[]"
 """What may stand between cells, and between a time and the first of them."""
-_LINES: Final = 3
-"""Lines at the beginning of a file that tell whether its values have names."""
 _FEWEST: Final = 2
 """Fewest values of a line."""
 
 
-def begins_labelled(lines: Iterable[Line]) -> bool:
+def begins_labelled(first_lines: Sequence[Line]) -> bool:
     """Whether each of the first lines gives the names of its values, and all give the same."""
-    first_lines = list(islice(lines, _LINES))
     names = {tuple(_cells(line.text)) for line in first_lines}
-    return len(first_lines) == _LINES and len(names) == 1 and any(names)
+    return len(first_lines) == FIRST_LINES and len(names) == 1 and any(names)
 
 
 def table_of_labels(all_lines: Callable[[], Iterable[Line]]) -> Iterator[Line]:
@@ -47,13 +41,14 @@ def table_of_labels(all_lines: Callable[[], Iterable[Line]]) -> Iterator[Line]:
     """
     lines = iter(all_lines())
     first = next(lines)
-    titles = list(_cells(first.text))
-    yield Line(first.place, _written(titles))
-    yield Line(first.place, _written(_cells(first.text).values()))
+    first_cells = _cells(first.text)
+    titles = list(first_cells)
+    yield line_of(first.place, titles)
+    yield line_of(first.place, first_cells.values())
     for line in lines:
         cells = _cells(line.text)
         row = [cells.get(title, "") for title in titles]
-        yield Line(line.place, _written(row)) if any(row) else line
+        yield line_of(line.place, row) if any(row) else line
 
 
 def _cells(text: str) -> dict[str, str]:
@@ -81,9 +76,3 @@ def _cells(text: str) -> dict[str, str]:
 
 def _is_time(text: str) -> bool:
     return is_date(text) or clock_seconds(text) is not None
-
-
-def _written(cells: Iterable[str]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="").writerow(cells)
-    return text.getvalue()

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from itertools import islice
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from twinmatch.importing.heads import Line
 
 __all__ = ["MessageLog", "message_log"]
 
-_LINES: Final = 3
-"""Lines at the beginning of a file among which such a text is recognised."""
 _OVER_MQTT: Final = (
     "take the values as they come instead: twinmatch attach --source mqtt://HOST --list"
 )
@@ -67,11 +64,10 @@ MESSAGE_LOGS: Final = (
 """In the order in which they are looked for."""
 
 
-def message_log(lines: Iterable[Line]) -> MessageLog | None:
+def message_log(first_lines: Sequence[Line]) -> MessageLog | None:
     """The kind of text that these lines begin, if it is one of those that cannot be tables."""
-    texts = [line.text for line in islice(lines, _LINES)]
     for kind in MESSAGE_LOGS:
-        matching = [text for text in texts if kind.line.search(text)]
-        if matching and (len(matching) == len(texts) or not kind.is_each):
+        matching = [line for line in first_lines if kind.line.search(line.text)]
+        if matching and (len(matching) == len(first_lines) or not kind.is_each):
             return kind
     return None

@@ -32,6 +32,7 @@ from twinmatch.importing.annotated import is_annotation, joined_tables
 from twinmatch.importing.boxed_rows import begins_boxed, table_of_boxes
 from twinmatch.importing.cells import Cells, number
 from twinmatch.importing.heads import (
+    FIRST_LINES,
     SPACES,
     Line,
     head_of,
@@ -268,20 +269,21 @@ def _lines(
             if text.strip(" ,;\t"):
                 yield Line(k, text)
 
-    first_line = next(filled_lines(), None)
-    if first_line is not None and is_annotation(first_line.text):
+    first_lines = list(islice(filled_lines(), FIRST_LINES))
+    first_text = first_lines[0].text if first_lines else ""
+    if is_annotation(first_text):
         yield from joined_tables(filled_lines)
         return
-    if first_line is not None and begins_as_json(first_line.text):
+    if begins_as_json(first_text):
         yield from table_of_objects(path, filled_lines)
         return
-    log = message_log(filled_lines())
+    log = message_log(first_lines)
     if log is not None:
         raise RecordingError(f"{path}: is {log.text}; {log.way_out}")
-    if first_line is not None and begins_boxed(filled_lines()):
+    if begins_boxed(first_lines):
         yield from table_of_boxes(filled_lines())
         return
-    if first_line is not None and begins_labelled(filled_lines()):
+    if begins_labelled(first_lines):
         yield from table_of_labels(filled_lines)
         return
     is_first = True
