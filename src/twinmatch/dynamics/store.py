@@ -213,7 +213,7 @@ def _fingerprint(
 ) -> str:
     """A hash of all that the code of a plant is made from: its sources as they are in its files."""
     chosen = (plant.__qualname__, sorted(parts), sorted(unknown))
-    digest = _digest_of_compiler(repr(chosen))
+    digest = _digest_with_compiler(repr(chosen))
     for file in sorted(_sources(plant)):
         digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
@@ -226,12 +226,20 @@ def _fingerprint_of_equations(derived: Derived) -> str:
     quantities = tuple(derived.quantities.items())  # their order counts
     in_order = {**vars(derived), "quantities": quantities}
     parts = [f"{name} {sympy.srepr(value)}" for name, value in in_order.items()]
-    return _digest_of_compiler("\n".join(parts)).hexdigest()[:16]
+    return _digest_with_compiler("\n".join(parts)).hexdigest()[:16]
 
 
-def _digest_of_compiler(equations: str) -> hashlib._Hash:
-    """A hash of equations, however they are written, and of the compiler, its libraries and the processor."""
-    digest = hashlib.sha256(repr((sys.version_info[:2], host(), equations)).encode())
+def _digest_with_compiler(equations: str) -> hashlib._Hash:
+    """A hash of equations, however they are written, and of what compiles them."""
+    digest = _compiler().copy()
+    digest.update(equations.encode())
+    return digest
+
+
+@functools.cache
+def _compiler() -> hashlib._Hash:
+    """A hash of the compiler, its libraries and the processor."""
+    digest = hashlib.sha256(repr((sys.version_info[:2], host())).encode())
     for file in (_HERE / name for name in _COMPILER):
         digest.update(file.read_bytes())
     for program in _PROGRAMS:
