@@ -149,9 +149,11 @@ class Uncertainty:
         if not left_out or not math.isfinite(self.condition):
             return self.condition
         scaled = self.fisher * np.outer(self.scales, self.scales)
+        of_places = scaled[np.ix_(places, places)]
+        of_left_out = scaled[np.ix_(left_out, left_out)]
         between = scaled[np.ix_(left_out, places)]
-        taken = between.T @ np.linalg.solve(scaled[np.ix_(left_out, left_out)], between)
-        eigenvalues = np.linalg.eigvalsh(scaled[np.ix_(places, places)] - taken)
+        shared = between.T @ np.linalg.solve(of_left_out, between)
+        eigenvalues = np.linalg.eigvalsh(of_places - shared)
         if not eigenvalues[0] > _ROUNDING * eigenvalues[-1]:
             return math.inf
         return float(np.sqrt(eigenvalues[-1] / eigenvalues[0]))

@@ -345,14 +345,8 @@ class CandidatePool:
             for arguments in zip(candidates, distances, gaps_to_plant, strict=True)
         ]
         scores = tuple(
-            replace(
-                bare_scores[k],
-                first=_samples_of(member)[0],
-                last=_samples_of(member)[1],
-                orders=member.orders,
-                chosen_order=member.chosen_order,
-            )
-            for k, member in enumerate(family)
+            _with_orders(bare_score, member)
+            for bare_score, member in zip(bare_scores[:count], family, strict=True)
         )
         identified = np.zeros((0, 0))
         if plant is not None:
@@ -429,6 +423,18 @@ def _samples_of(member: _Member) -> tuple[int, int]:
     window = member.window
     last = window.last if member.candidate.window else window.first - 1
     return window.first, last
+
+
+def _with_orders(score: CandidateScore, member: _Member) -> CandidateScore:
+    """The score of a member of the family, with its samples and what its orders have."""
+    first, last = _samples_of(member)
+    return replace(
+        score,
+        first=first,
+        last=last,
+        orders=member.orders,
+        chosen_order=member.chosen_order,
+    )
 
 
 def _bare_score(

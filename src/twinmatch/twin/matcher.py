@@ -26,7 +26,6 @@ _blas = cache(ThreadpoolController)
 _lock = Lock()
 logged_defects: dict[str, Defect] = {}
 """Defects that prevented matches in this process, by their places: each is logged once."""
-"""Defects that prevented matches in this process, by their places."""
 _limits_in_use: list[Any] = []
 """The one limit on the process's BLAS, as often as threads rely on it; the last of them lifts it."""
 
