@@ -13,7 +13,7 @@ from tests.support import faulty_rig as rig
 from tests.support.plants import Motor
 from tests.support.watched import copied
 from twinmatch.dynamics import Controller, Parameter, PlantError, advance, begin, read
-from twinmatch.health import Fault, HealthSettings, Monitor
+from twinmatch.health import Fault, HealthSettings, Lie, Monitor
 from twinmatch.health.changes import ChangeDetector
 from twinmatch.plants import Peltier
 from twinmatch.signals import Sample
@@ -101,6 +101,11 @@ def test_shifted_readings_never_become_usual_and_are_over_when_they_step_back() 
     assert alarm.fault is Fault.SENSOR_DRIFT
     assert alarm.last is not None
     assert 1900 <= alarm.last <= 1960
+    lie = monitor.lie_between(1000, 1100)
+    assert lie == Lie("temperature", alarm.first, alarm.last)
+    assert lie.when == f"were off from sample {alarm.first} to {alarm.last}"
+    assert monitor.lie_between(0, alarm.first - 1) is None
+    assert monitor.lie_between(alarm.last + 1, 1979) is None
     assert {bool(doubt) for doubt in doubts[800:1900]} == {True}
     assert doubts[1000].startswith(
         "the readings of the plate temperature may be off by about +3"

@@ -165,8 +165,8 @@ def test_an_offset_in_a_real_open_loop_is_named_within_five_samples_and_nothing_
         monitor.push(sample)
     assert not through
     assert monitor.on is None
-    assert monitor.lied_between(onset, onset + 400)
-    assert not monitor.lied_between(sample.index, sample.index)
+    assert monitor.lie_between(onset, onset + 400)
+    assert not monitor.lie_between(sample.index, sample.index)
 
 
 def test_a_real_heater_of_which_half_arrives_is_named_and_nothing_before() -> None:
@@ -317,9 +317,9 @@ def test_a_drive_that_is_given_back_ends_no_reading_through() -> None:
             assert [estimate.signal for estimate in monitor.estimates] == [
                 "second_temperature"
             ], sample.index
-            assert monitor.lied_between(sample.index, sample.index)
+            assert monitor.lie_between(sample.index, sample.index)
     assert len(monitor.alarms) > 1  # that of the sensor has ended, the lie has not
-    assert not monitor.lied_between(0, BEGINS - 10)
+    assert not monitor.lie_between(0, BEGINS - 10)
 
 
 def test_a_rehearsal_from_before_the_plant_is_known_counts_until_a_later_one_is_over() -> (

@@ -26,6 +26,7 @@ from twinmatch.dynamics import (
     linearised,
     readings,
     simulate_closed_loop,
+    simulate_driven,
 )
 from twinmatch.offline.judging import terms_from_files
 from twinmatch.plants import TCLabBoth
@@ -118,6 +119,37 @@ def test_trusted_horizons_of_several_outputs_pass_the_documented_test(
     in_loop: list[Verdict],
 ) -> None:
     check_trust(documents_of_verdicts(in_loop), outputs=("first", "second"))
+
+
+def driven_with_a_lie(first: int, last: int) -> list[Sample]:
+    """Both heaters driven at random levels; the second sensor reads 4 °C too much from `first` to `last`."""
+    rng = np.random.default_rng(5)
+    u = np.repeat(rng.uniform(0.0, 60.0, (24, 2)), 50, axis=0)
+    run = simulate_driven(TRUTH, u, states=begin(TRUTH, [23.0, 23.0]), period=2.0)
+    y = run.outputs + 0.1 * rng.standard_normal(u.shape)
+    y[first : last + 1, 1] += 4.0
+    return Window(np.zeros_like(u), y, u, period=2.0).samples(0)
+
+
+def test_samples_of_a_sensor_that_lies_are_not_matched() -> None:
+    settings = TwinSettings.of(Heaters, law=None, period=2.0)
+    verdicts = verdicts_of(settings, driven_with_a_lie(700, 999))
+    matched = [verdict for verdict in verdicts if verdict.match]
+    (while_on,) = [v for v in matched if 700 <= v.sample < 1000]
+    afterwards = matched[-1]
+    assert {verdict.match for verdict in matched if verdict.sample < 700} == {
+        "admitted"
+    }
+    assert while_on.match == "refused"
+    assert (
+        while_on.reason
+        == "not matched: the readings of second have been off since sample 700"
+    )
+    assert afterwards.first <= 999 < afterwards.sample
+    assert afterwards.reason.startswith(
+        "not matched: the readings of second were off from sample 700 to 100"
+    )
+    assert all(candidate.last < 700 for candidate in verdicts[-1].candidates)
 
 
 def test_an_impossible_reading_is_a_fault_of_its_channel() -> None:

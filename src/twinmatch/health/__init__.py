@@ -21,6 +21,7 @@ from twinmatch.health.faults import (
     Fault,
     Health,
     HealthState,
+    Lie,
 )
 from twinmatch.health.monitor import Monitor
 from twinmatch.health.refusals import Refusals
@@ -36,6 +37,7 @@ __all__ = [
     "HealthError",
     "HealthSettings",
     "HealthState",
+    "Lie",
     "Monitor",
     "Movement",
     "Refusals",

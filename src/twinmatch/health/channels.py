@@ -20,6 +20,7 @@ from twinmatch.health.faults import (
     Fault,
     Health,
     HealthState,
+    Lie,
     touching,
 )
 from twinmatch.health.hypotheses import ChangeRow
@@ -114,18 +115,6 @@ class _NamedChange(NamedTuple):
     """Its size, in the number's unit."""
 
 
-class _Lie(NamedTuple):
-    """Samples in which an output's sensor is known to have lied."""
-
-    first: int
-    last: int | None
-    """None while it lies."""
-
-    def overlaps(self, first: int, last: int) -> bool:
-        """Whether it touches the samples `first` to `last`."""
-        return self.first <= last and (self.last is None or self.last >= first)
-
-
 class ChannelMonitor:
     """Watches one plant with any number of inputs and outputs."""
 
@@ -144,9 +133,9 @@ class ChannelMonitor:
         """Readings in a row of each output that its sensor cannot give."""
         self._standing: list[_NamedChange] = []
         """Named changes that have not been undone."""
-        self._lies_of_output: dict[int, _Lie] = {}
+        self._lies_of_output: dict[int, Lie] = {}
         """Of the outputs whose sensors lie now."""
-        self._past_lies: deque[_Lie] = deque(maxlen=_KEPT)
+        self._past_lies: deque[Lie] = deque(maxlen=_KEPT)
         self._outputs = list(parameters.model.plant.outputs.items())
         self._spans = np.array([output.span for _, output in self._outputs])
         self._values = self._spans.mean(axis=1)
@@ -172,13 +161,13 @@ class ChannelMonitor:
         """The first alarm that touches these samples; see `touching`."""
         return touching(self._alarms, first, last, slow=slow)
 
-    def lied_between(self, first: int, last: int) -> bool:
-        """Whether a sensor is known to have lied between two samples, both included.
+    def lie_between(self, first: int, last: int) -> Lie | None:
+        """What a sensor is known to have lied between two samples, both included.
 
         An alarm ends when another begins, a lie does not.
         """
         lies = [*self._past_lies, *self._lies_of_output.values()]
-        return any(lie.overlaps(first, last) for lie in lies)
+        return next((lie for lie in lies if lie.overlaps(first, last)), None)
 
     def push(self, sample: Sample, _: Parameters | None = None) -> Health:
         """Take one sample; judge the plant as it is now, without asking any twin."""
@@ -281,7 +270,8 @@ class ChannelMonitor:
         lie = self._lies_of_output.get(output)
         if self._lies(output) and lie is None:
             since = self._alarms[-1].first
-            self._lies_of_output[output] = _Lie(since, None)
+            name, _ = self._outputs[output]
+            self._lies_of_output[output] = Lie(name, since, None)
         elif not self._lies(output) and lie is not None:
             self._past_lies.append(lie._replace(last=self._index))
             del self._lies_of_output[output]

@@ -158,6 +158,32 @@ SLOW: Final = frozenset(fault for fault, traits in TRAITS.items() if traits.slow
 """Changes of a plant that still obeys its drive."""
 
 
+class Lie(NamedTuple):
+    """Samples in which the sensor of an output is known to have lied."""
+
+    signal: str
+    """Name of the output in the plant file."""
+    first: int
+    last: int | None
+    """None while it lies."""
+
+    def overlaps(self, first: int, last: int) -> bool:
+        """Whether it touches the samples `first` to `last`, both included."""
+        return _overlap(self.first, self.last, first, last)
+
+    @property
+    def when(self) -> str:
+        """When its readings were off, in words."""
+        if self.last is None:
+            return f"have been off since sample {self.first}"
+        return f"were off from sample {self.first} to {self.last}"
+
+
+def _overlap(begin: int, end: int | None, first: int, last: int) -> bool:
+    """Whether the samples `begin` to `end` (None: all that follow) touch the samples `first` to `last`."""
+    return begin <= last and (end is None or end >= first)
+
+
 @dataclass(frozen=True, slots=True)
 class Alarm:
     """One fault from its beginning to its end."""
@@ -192,7 +218,7 @@ class Alarm:
 
     def overlaps(self, first: int, last: int) -> bool:
         """Whether it touches the samples `first` to `last`."""
-        return self.first <= last and (self.last is None or self.last >= first)
+        return _overlap(self.first, self.last, first, last)
 
 
 def touching(

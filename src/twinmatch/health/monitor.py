@@ -19,6 +19,7 @@ from twinmatch.health.faults import (
     Fault,
     Health,
     HealthState,
+    Lie,
     touching,
 )
 from twinmatch.health.lagged_effect import LaggedEffect, is_lagged
@@ -141,9 +142,14 @@ class Monitor:
         """The first alarm that touches these samples; see `touching`."""
         return touching(self._alarms, first, last, slow=slow)
 
-    def lied_between(self, first: int, last: int) -> bool:
-        """Whether the sensor is known to have lied between two samples, both included."""
-        return any(alarm.lies and alarm.overlaps(first, last) for alarm in self._alarms)
+    def lie_between(self, first: int, last: int) -> Lie | None:
+        """What the sensor is known to have lied between two samples, both included."""
+        lies = [
+            Lie(alarm.signal, alarm.first, alarm.last)
+            for alarm in self._alarms
+            if alarm.lies
+        ]
+        return next((lie for lie in lies if lie.overlaps(first, last)), None)
 
     def push(self, sample: Sample, parameters: Parameters | None = None) -> Health:
         """Take one sample; judge the plant as it is now."""

@@ -370,20 +370,9 @@ class Discriminator:
         """Judge a window, or request its match."""
         if not trigger.excited:
             return [self._judge(trigger, MatchResult(reason=trigger.reason))]
-        alarm = self.monitor.fault_between(trigger.window.first, trigger.window.last)
-        if alarm is not None:
-            reason = f"not matched: {alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
-            return [self._judge(trigger, MatchResult(REFUSED, reason))]
-        if (
-            self._last_on_estimate is not None
-            and trigger.window.first <= self._last_on_estimate
-        ):
-            reason = f"not matched: the law ran on an estimate until sample {self._last_on_estimate}"
-            return [self._judge(trigger, MatchResult(REFUSED, reason))]
-        if reason := self._trial_between(trigger.window.first, trigger.window.last):
-            return [
-                self._judge(trigger, MatchResult(REFUSED, f"not matched: {reason}"))
-            ]
+        if reason := self._why_not_matched(trigger.window):
+            refusal = MatchResult(REFUSED, f"not matched: {reason}")
+            return [self._judge(trigger, refusal)]
         self._request = self._new_request(trigger)
         if not self._external:
             # most of a match is compiled code, which releases the GIL
@@ -391,6 +380,18 @@ class Discriminator:
             self._fits = with_match.submit(self._fit, trigger)
             with_match.shutdown(wait=False)
         return []
+
+    def _why_not_matched(self, window: Window) -> str:
+        """Why samples do not show the plant as its law drives it; empty if they do."""
+        first = window.first
+        last = window.last
+        if alarm := self.monitor.fault_between(first, last):
+            return f"{alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
+        if self._last_on_estimate is not None and first <= self._last_on_estimate:
+            return f"the law ran on an estimate until sample {self._last_on_estimate}"
+        if lie := self.monitor.lie_between(first, last):
+            return f"the readings of {lie.signal} {lie.when}"
+        return self._trial_between(first, last)
 
     def _new_request(self, trigger: Trigger) -> MatchRequest:
         """The request for a trigger; its incumbent is the regime's current candidate."""
@@ -502,10 +503,10 @@ class Discriminator:
 
     def _remove_spoilt(self, alarm: Alarm) -> tuple[str, ...]:
         """Remove the candidates that were matched while the fault was already on; return their names."""
-        if alarm.fault in SLOW:
-            # the plant has changed since then, but still obeys its drive
-            self._pool.structures.cut(alarm.first)
-        if not alarm.spoils:
+        if not alarm.spoils and not alarm.lies:
+            if alarm.fault in SLOW:
+                # the plant has changed since then, but still obeys its drive
+                self._pool.structures.cut(alarm.first)
             return ()
         with one_thread():
             return self._pool.expel(alarm.first, alarm.flagged)
@@ -526,7 +527,7 @@ class Discriminator:
             if self._fits is not None:
                 self._fits.result()
                 self._fits = None
-            elif self.monitor.fault_between(window.first, window.last) is None:
+            elif not self._at_fault(window.first, window.last):
                 self._fit(trigger)
             dismissed = pool.leave_memory()
             pool.enter()
@@ -651,10 +652,13 @@ class Discriminator:
 
         The plant was at fault then, a sensor lied, or another law drove it, as far as that is known now.
         """
+        return self._at_fault(first, last) or bool(self._trial_between(first, last))
+
+    def _at_fault(self, first: int, last: int) -> bool:
+        """Whether the plant was at fault between two samples, or a sensor lied, as far as that is known now."""
         return (
             self.monitor.fault_between(first, last) is not None
-            or self.monitor.lied_between(first, last)
-            or bool(self._trial_between(first, last))
+            or self.monitor.lie_between(first, last) is not None
         )
 
     def _admit(self, trigger: Trigger, report: MatchReport) -> MatchResult:
