@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from twinmatch.health import Fault
-from twinmatch.health.faults import PRECEDENCE, SLOW, TRAITS
+from twinmatch.health.faults import PRECEDENCE, SLOW, TRAITS, Alarm
 from twinmatch.health.sentences import FaultSentences
 from twinmatch.plants import Peltier
 from twinmatch.safety.accusations import ACCUSED
@@ -53,6 +55,34 @@ def test_a_fault_is_never_replaced_by_itself_and_a_sudden_one_by_none_but_graver
             or TRAITS[fault].unnamed
             or graver < {f for f in Fault if f not in SLOW}
         )
+
+
+CHANGED = Alarm(Fault.LOSSES_CHANGED, 100, 120, None, "the lid is open", spoils=False)
+
+
+def test_as_long_as_a_plant_is_another_forecasts_made_since_count() -> None:
+    assert CHANGED.excuses_between(90, 100)
+    assert CHANGED.excuses_between(99, 400)
+    assert not CHANGED.excuses_between(100, 130)
+    assert not CHANGED.excuses_between(50, 99)
+
+
+def test_once_it_is_itself_again_none_of_the_meantime_counts() -> None:
+    over = replace(CHANGED, last=200)
+    assert over.excuses_between(100, 130)
+    assert over.excuses_between(190, 250)
+    assert not over.excuses_between(201, 250)
+
+
+@pytest.mark.parametrize("fault", Fault)
+def test_who_is_not_known_to_be_another_is_not_excused(fault: Fault) -> None:
+    """A twin that does not fit shows an unnamed drift, and what was taken back was none."""
+    spoils = fault not in SLOW
+    alarm = Alarm(fault, 100, 120, 200, "", spoils)
+    is_excused = alarm.excuses_between(100, 130)
+    assert is_excused == (fault is not Fault.DRIFT)
+    withdrawn = replace(alarm, withdrawn="such steps have recurred")
+    assert not withdrawn.excuses_between(100, 130)
 
 
 @pytest.mark.parametrize(

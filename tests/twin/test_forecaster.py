@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -188,6 +188,34 @@ def test_nothing_is_learned_from_a_spoilt_stretch(samples: list[Sample]) -> None
         forecaster.push(sample)
     assert np.isnan(forecaster.scores[0].gain)
     assert forecaster.scores[0].forecasts == 0.0
+
+
+def test_what_was_learned_since_a_sample_is_taken_back(samples: list[Sample]) -> None:
+    """It is as if the samples since the note before it, at 840, had taught nothing."""
+    forecaster = Forecaster(GAINS)
+    forecaster.enter(candidates_of(truth=TRUTH, plain=PLAIN))
+    for sample in samples[:841]:
+        forecaster.push(sample)
+    scores = forecaster.scores
+    confidence = forecaster.confidence
+    widths = forecaster.outlook().widths
+    forecaster.enter(candidates_of(truth=TRUTH, plain=PLAIN, late=TRUTH))
+    for sample in samples[841:1000]:
+        y = (sample.output + 8.0,)
+        forecaster.push(replace(sample, outputs=y))
+    spoilt_scores = forecaster.scores
+    forecaster.forget_since(0)
+    assert forecaster.scores == spoilt_scores, "nothing from before it is kept"
+    forecaster.forget_since(930)
+    truth, plain, late = forecaster.scores
+    assert (truth, plain) == scores
+    assert (late.gain, late.forecasts) == (0.0, 0.0)
+    assert np.isnan(late.coverage).all()
+    assert forecaster.confidence == confidence
+    np.testing.assert_array_equal(forecaster.outlook("truth").widths, widths)
+    for sample in samples[1000:1100]:
+        forecaster.push(sample)
+    assert forecaster.scores[0].forecasts > truth.forecasts
 
 
 def test_after_a_gap_it_follows_again_and_keeps_what_it_learned(

@@ -358,6 +358,10 @@ class Ledger:
         self._accounts = np.array([*accounts.values(), new])
         self._rows = {name: row for row, name in enumerate(accounts)}
 
+    def copy(self) -> Ledger:
+        """An independent copy."""
+        return deepcopy(self)
+
     def keep(self, names: Iterable[str]) -> None:
         """Keep only the accounts of these candidates."""
         self._set(

@@ -161,6 +161,10 @@ class ChannelMonitor:
         """The first alarm that touches these samples; see `touching`."""
         return touching(self._alarms, first, last, slow=slow)
 
+    def excuses_between(self, first: int, last: int) -> bool:
+        """Whether the plant is known to have been another between two samples, or to have become another."""
+        return any(alarm.excuses_between(first, last) for alarm in self._alarms)
+
     def lie_between(self, first: int, last: int) -> Lie | None:
         """What a sensor is known to have lied between two samples, both included.
 

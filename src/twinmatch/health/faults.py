@@ -216,9 +216,24 @@ class Alarm:
         is_of_sensor = TRAITS[self.fault].subject is Subject.OUTPUT
         return is_of_sensor and self.alters and not self.withdrawn
 
+    @property
+    def excuses(self) -> bool:
+        """Whether forecasts of its samples say nothing of the twins of a plant that is whole."""
+        is_change = self.spoils or TRAITS[self.fault].another_plant
+        return self.lies or (is_change and not self.withdrawn)
+
     def overlaps(self, first: int, last: int) -> bool:
         """Whether it touches the samples `first` to `last`."""
         return _overlap(self.first, self.last, first, last)
+
+    def excuses_between(self, first: int, last: int) -> bool:
+        """Whether a forecast of the samples after `first` up to `last` says nothing of such a twin.
+
+        As long as it is on, those made after its beginning count: twins adapt to how the plant is now.
+        """
+        if self.last is None:
+            return self.excuses and first < self.first <= last
+        return self.excuses and self.overlaps(first, last)
 
 
 def touching(

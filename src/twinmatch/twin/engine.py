@@ -422,6 +422,8 @@ class Discriminator:
         news = self._health.news if self._health is not None else None
         has_begun = news is not None and news.last is None
         gone = self._remove_spoilt(news) if news is not None and has_begun else ()
+        if news is not None and news.excuses:
+            self.forecaster.forget_since(news.first)
         if sample.usable:
             self.forecaster.push(sample, taken)
         if news is not None:
@@ -650,9 +652,14 @@ class Discriminator:
     def spoilt(self, first: int, last: int) -> bool:
         """Whether forecasts between two samples count neither for nor against a twin.
 
-        The plant was at fault then, a sensor lied, or another law drove it, as far as that is known now.
+        The plant was at fault then, a sensor lied, another law drove the plant, or it became another one or
+        was repaired in between, as far as that is known now.
         """
-        return self._at_fault(first, last) or bool(self._trial_between(first, last))
+        return (
+            self._at_fault(first, last)
+            or self.monitor.excuses_between(first, last)
+            or bool(self._trial_between(first, last))
+        )
 
     def _at_fault(self, first: int, last: int) -> bool:
         """Whether the plant was at fault between two samples, or a sensor lied, as far as that is known now."""

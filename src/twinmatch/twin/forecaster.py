@@ -36,6 +36,10 @@ _RUN_IN: Final = (60.0, 300.0)
 the hidden ones have to be estimated. It scales with the time between two forecasts."""
 _OTHERS_EVERY: Final = 3
 """The bands of candidates that do not lead learn from every third forecast only."""
+_NOTED_EVERY: Final = 4
+"""What has been learned is noted at every fourth forecast, so that it can be taken back."""
+_NOTES_KEPT: Final = 16
+"""Notes that are kept, the newest: what has lasted longer is how the plant is now. On the rig half an hour."""
 
 
 class Snapshot(NamedTuple):
@@ -92,6 +96,16 @@ class _Departure(NamedTuple):
     """Widths of the bands of the candidates that learn from this forecast, by name."""
 
 
+class _Learned(NamedTuple):
+    """What forecasts had taught up to a sample."""
+
+    sample: int
+    ledger: Ledger
+    calibrations: Mapping[str, Calibration]
+    """Those of the candidates' bands, by name."""
+    leader_confidence: LeaderConfidence
+
+
 class Forecaster:
     """Runs every candidate beside the plant and compares its forecasts with the samples.
 
@@ -133,6 +147,7 @@ class Forecaster:
         self._ledger: Ledger | None = None
         self._leader_confidence = LeaderConfidence(self._kept)
         self._departures: dict[int, _Departure] = {}
+        self._learned: deque[_Learned] = deque(maxlen=_NOTES_KEPT)
         self._run_in = tuple(round(stretch * scale / period) for stretch in _RUN_IN)
         self._recent: deque[Sample] = deque(
             maxlen=max(self._longest + self._stride, *self._run_in) + 1
@@ -201,8 +216,43 @@ class Forecaster:
             departure = self._departures.get(sample.index - horizon)
             if departure is not None:
                 self._learn(departure, sample.index - horizon, number)
+        if sample.index % (_NOTED_EVERY * self._stride) == 0:
+            self._note_learned(sample.index)
         # One forecast more is kept: `check_bands` needs one that is old enough at every sample.
         self._departures.pop(sample.index - self._longest - self._stride, None)
+
+    def _note_learned(self, sample: int) -> None:
+        """Note what forecasts have taught up to a sample."""
+        if self._ledger is None:
+            return
+        calibrations = {
+            name: twin.calibration.copy() for name, twin in self._twins.items()
+        }
+        self._learned.append(
+            _Learned(
+                sample,
+                self._ledger.copy(),
+                calibrations,
+                self._leader_confidence.copy(),
+            )
+        )
+
+    def forget_since(self, sample: int) -> None:
+        """Take back what forecasts have taught since a sample, and a little before it; if it is too long ago,
+        nothing. Candidates that were not there begin anew."""
+        earlier = [learned for learned in self._learned if learned.sample < sample]
+        if not earlier:
+            return
+        before = earlier[-1]
+        self._learned = deque(earlier, self._learned.maxlen)
+        self._ledger = before.ledger.copy()
+        self._leader_confidence = before.leader_confidence.copy()
+        for name, twin in self._twins.items():
+            noted = before.calibrations.get(name)
+            twin.calibration = (
+                self._new_calibration(twin.candidate) if noted is None else noted.copy()
+            )
+        self._set(self._twins)
 
     def _catch_up(self) -> None:
         """Have the twins, and the controller's state, take the samples that are waiting."""
@@ -416,6 +466,7 @@ class Forecaster:
         self._recent.clear()
         self._waiting.clear()
         self._departures.clear()
+        self._learned.clear()
         self._rows = self._rows[:0]
         self._controller = np.zeros(0 if self._law is None else self._law.n_states)
         for twin in self._twins.values():
@@ -426,20 +477,9 @@ class Forecaster:
 
         Its bands begin with what those of `before` have learned.
         """
-        if before:
-            calibration = before.calibration.copy()
-        else:
-            newest = float(np.exp(-self._stride / self._longest))
-            plant = candidate.parameters.model.plant
-            signals = forecast_noise(plant, self._law).size
-            calibration = Calibration(
-                self._leads,
-                self._kept,
-                newest,
-                signals,
-                self._stride,
-                outputs=len(plant.outputs),
-            )
+        calibration = (
+            before.calibration.copy() if before else self._new_calibration(candidate)
+        )
         for stretch in self._run_in:
             recent = list(self._recent)[-stretch:]
             states = candidate.states_at(recent[0].index) if recent else None
@@ -454,6 +494,18 @@ class Forecaster:
         )
         state_filter.follow(recent)
         return Entrant(candidate, state_filter, calibration)
+
+    def _new_calibration(self, candidate: Candidate) -> Calibration:
+        """One that has learned nothing."""
+        plant = candidate.parameters.model.plant
+        return Calibration(
+            self._leads,
+            self._kept,
+            float(np.exp(-self._stride / self._longest)),
+            forecast_noise(plant, self._law).size,
+            self._stride,
+            outputs=len(plant.outputs),
+        )
 
     def _learn(self, departure: _Departure, sample: int, number: int) -> None:
         """Score the forecasts made at a sample on those after it, up to the horizon of this number."""

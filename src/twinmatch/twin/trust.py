@@ -4,6 +4,7 @@ the best."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -184,6 +185,10 @@ class LeaderConfidence:
         """Begin undecided; `kept` is the factor on past weights per forecast."""
         self._kept = kept
         self._right = self._wrong = _DOUBT
+
+    def copy(self) -> LeaderConfidence:
+        """An independent copy."""
+        return copy(self)
 
     def add(self, leading: float, best: float) -> None:
         """Add the error of the leader and the least error of all candidates."""
