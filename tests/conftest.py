@@ -87,12 +87,18 @@ class Durations:
         self,
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         report = yield
+        # Its last phase counts for the whole test: to ask the kernel takes as long as many tests do.
+        used = self._used_since_the_last() if report.when == "teardown" else 0.0
+        report.computed = used  # type: ignore[attr-defined]  # travels with it
+        return report
+
+    def _used_since_the_last(self) -> float:
+        """Time of the processors, s, since this was asked before."""
         computed = processor_seconds()
         # What a grandchild has used is lost when nobody waits for it, as happens to a browser's.
         used = max(0.0, computed - self._computed_before)
-        report.computed = used  # type: ignore[attr-defined]  # travels with it
         self._computed_before = computed
-        return report
+        return used
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         self.costs.add(report.nodeid, Cost(report.duration, report.computed))  # type: ignore[attr-defined]
@@ -129,6 +135,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    gc.disable()  # until all is collected: little of it is garbage
     keep_mounts_to_this_process()
     config.pluginmanager.register(Durations())
 
@@ -164,6 +171,7 @@ def reason_of(item: pytest.Item) -> str:
 
 def pytest_collection_finish() -> None:
     """What is imported and collected stays to the end; a search for garbage passes over it."""
+    gc.enable()
     gc.collect()
     gc.freeze()
 
