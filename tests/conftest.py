@@ -100,6 +100,10 @@ class Durations:
         self._computed_before = computed
         return used
 
+    def pytest_collection_finish(self) -> None:
+        """The first test has not used what was needed to collect all."""
+        self._computed_before = processor_seconds()
+
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         self.costs.add(report.nodeid, Cost(report.duration, report.computed))  # type: ignore[attr-defined]
 
