@@ -50,6 +50,12 @@ TOGETHER = (
     ("tests/offline/test_controller",),
     ("tests/showing/page/test_foreign", "tests/showing/page/test_page_in_browser"),
     (
+        "tests/showing/page/test_metrics",
+        "tests/showing/page/test_page.py",
+        "tests/showing/page/test_panels",
+        "tests/showing/page/test_state",
+    ),
+    (
         "tests/showing/page/test_several",
         "tests/showing/report/",
         "tests/showing/test_several",
