@@ -26,7 +26,9 @@ prepare.derive_plants([PLANTS["peltier"]])
 prepare.compare_models()
 prepare.judge_a_loop()
 prepare.judge_channels()
+prepare.search_once()
 prepared = used()
+assert len(prepared["update_search"]) == 1
 assert main(["replay", sys.argv[1]]) == 0
 replayed = used()
 assert len(replayed) > 20

@@ -190,3 +190,10 @@ def test_two_losses_of_one_body_are_one_and_of_two_bodies_two(name: str) -> None
         rivals = trial.rivals(rows(trial)[number])
         assert rivals is not None
         assert (rival in rivals) == (name == "one body")
+
+
+def test_the_trial_of_a_fault_needs_no_kernel_of_its_own() -> None:
+    """Columns of a table that lies in memory row by row would have every kernel compiled again."""
+    trial = FaultTrial(typical(), 1.0)
+    assert trial.inputs.shape[1] == 2
+    assert trial.inputs.flags.c_contiguous

@@ -82,9 +82,9 @@ def _rest(u: FloatArray) -> FloatArray:
 
 
 def recorded(folder: Path) -> Ground:
-    """An open-loop recording of fifty minutes."""
+    """An open-loop recording of half an hour."""
     rng = np.random.default_rng(8)
-    u = np.repeat(rng.choice([20.0, 40.0], (10, 2)), 300, axis=0)
+    u = np.repeat(rng.choice([20.0, 40.0], (6, 2)), 300, axis=0)
     x, _ = rest_at_level(np.array([40.0, 35.0]))
     samples = []
     for k, command in enumerate(u):

@@ -146,6 +146,7 @@ def test_the_noise_of_each_reading_is_followed_around_the_loop() -> None:
     experiment = Experiment(PLANT, ("exchange", "second_gain"), window, law=LAW)
     tangents = experiment.tangents(experiment.values_of(PLANT))
     weights = np.array([[1.0, 0.5, 0.02, 0.02], [2.0, 1.0, 0.04, 0.04]])
+    references = np.array(window.references[2:])
     sums, square = noise_scores(
         experiment, tangents, tangents.by * weights[0][:, None, None], weights
     )
@@ -161,7 +162,7 @@ def test_the_noise_of_each_reading_is_followed_around_the_loop() -> None:
         noise = np.zeros((len(window) - 2, 2))
         noise[k, 1] = sign * bump
         y, u, _ = MODEL.kernels.run(
-            PLANT.vector, states, law, experiment.controller, window.references[2:],
+            PLANT.vector, states, law, experiment.controller, references,
             np.zeros((len(noise), 0)), noise, np.zeros(len(noise), dtype=np.bool_), 0.0, 2.0,
             PLANT.steps(2.0),
         )  # fmt: skip
@@ -193,7 +194,7 @@ def test_it_is_observed_like_by_the_textbooks_filter() -> None:
         np.testing.assert_allclose(observer.states, states, rtol=1e-9)
         np.testing.assert_allclose(observer.covariance, covariance, rtol=1e-7)
         slopes = MODEL.kernels.predict(
-            PLANT.vector, states.copy(), np.zeros((2, 2)), np.zeros(2), window.inputs[k], np.zeros(0), 2.0,
+            PLANT.vector, states.copy(), np.zeros((2, 2)), np.zeros(2), np.array(window.inputs[k]), np.zeros(0), 2.0,
             PLANT.steps(2.0), np.zeros((2, 0), dtype=np.int64),
         )  # fmt: skip
         states = advance(PLANT, states, window.inputs[k], 2.0)

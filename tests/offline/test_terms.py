@@ -8,7 +8,9 @@ import pytest
 import yaml
 
 from benchmarks.bank.kits import run
+from tests.support.laws import kit_session
 from tests.support.steps import quarter_of_an_hour
+from twinmatch.dynamics import commands_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.offline.judging import judge_samples, terms_from_files
 from twinmatch.parameters.twin import read_settings
@@ -90,3 +92,12 @@ def test_the_graph_that_plays_a_session_is_given_the_same(tmp_path: Path) -> Non
     of_nodes = read_settings(config)
     assert of_nodes.read_through == settings.read_through == ("second_temperature",)
     assert (of_nodes.law is None) is (settings.law is None)
+
+
+def test_the_law_of_a_recording_needs_no_kernel_of_its_own(tmp_path: Path) -> None:
+    """Arrays that cannot be written to are another kind for numba, which would compile the law again."""
+    terms = terms_from_files(kit_session("closed_loop_lqg", tmp_path, size=300))
+    assert terms.settings.law is None
+    assert commands_of.signatures  # type: ignore[attr-defined]  # of numba
+    for kinds in commands_of.signatures:  # type: ignore[attr-defined]  # of numba
+        assert all(kind.mutable for kind in kinds), kinds

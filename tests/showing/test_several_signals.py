@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
+from tests.showing.conftest import LIES_FROM
 from tests.showing.test_terminal import last_screen, shown
 from twinmatch import showing
 from twinmatch.cli import main
@@ -40,7 +41,7 @@ def test_the_summary_names_every_output(two: Judgement) -> None:
     summed_up = sentence(replace(two.summary, trust=statements_of(trusted).trust))
     assert f"{T1} fit {100 * first:.1f} %, {T2} fit {100 * second:.1f} %" in summed_up
     assert f"°C of {T1}" in summed_up
-    assert summed_up.endswith(f"Faults: sensor-drift of {T2} since 1500 s.")
+    assert summed_up.endswith(f"Faults: sensor-drift of {T2} since {LIES_FROM} s.")
     written = json.loads(
         json.dumps(document(two.name, two.verdicts, two.summary, two.matches))
     )

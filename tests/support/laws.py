@@ -26,9 +26,9 @@ def law_file(folder: Path, **changes: Any) -> Path:
     return path
 
 
-def kit_session(name: str, folder: Path) -> Session:
-    """A recording of a real kit with both heaters."""
-    rows = kit_rows("tclab_2x2", name)
+def kit_session(name: str, folder: Path, size: int | None = None) -> Session:
+    """A recording of a real kit with both heaters, or its first samples."""
+    rows = kit_rows("tclab_2x2", name)[:size]
     closed = "SP1" in rows[0]
     samples = [
         Sample(

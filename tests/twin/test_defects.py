@@ -21,6 +21,8 @@ from twinmatch.twin import MatchReport, MatchRequest, Twin, TwinSettings, carry_
 BREAKS = 295
 """Sample from which on a part raises: the first match is due at sample 300."""
 ENDS = 490
+FIRST_CANDIDATE = 620
+"""Sample by which a twin that begins where a part breaks has its first candidate."""
 SAID = "no verdict could be made, because of a defect"
 PARTS = (
     "twin.door.Refusals.settle",
@@ -207,11 +209,11 @@ def test_candidates_start_over_behind_a_sample_that_was_half_taken(
     """From then on they are those of a twin to which nothing was said before, bit for bit."""
     broken = Broken(monkeypatch, "twin.forecaster.Forecaster.push", ZeroDivisionError())
     with pytest.warns(DefectWarning):
-        verdicts = run(samples[BREAKS:], broken, twin)
+        verdicts = run(samples[BREAKS:FIRST_CANDIDATE], broken, twin)
     fresh = Twin()
     later = [
         verdict
-        for sample in samples[BREAKS + 1 :]
+        for sample in samples[BREAKS + 1 : FIRST_CANDIDATE]
         for verdict in fresh.push(sample).verdicts
     ]
     assert [verdict.sample for verdict in later] == [

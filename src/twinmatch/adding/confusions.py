@@ -281,4 +281,4 @@ def _steps(parameters: Parameters, count: int, holds: float) -> FloatArray:
         low, high = drive.limits
         samples_held = max(round(holds * _COURSE.quicker**j), 1)
         columns.append(low + (high - low) * np.where(k // samples_held % 2, 0.9, 0.1))
-    return np.array(columns).T
+    return np.stack(columns, axis=1)

@@ -362,9 +362,10 @@ def _errors(run: Window, law: Law) -> Iterator[FloatArray]:
     if begin is None:
         return
     part = run.part(run.first + begin, run.last)
-    commands, _ = commands_of(
-        law.code, law.state(part), part.references[2:], part.outputs[2:]
-    )
+    # A window cannot be written to; for such arrays numba would compile the law again.
+    references = np.array(part.references[2:])
+    outputs = np.array(part.outputs[2:])
+    commands, _ = commands_of(law.code, law.state(part), references, outputs)
     yield only("input", commands) - part.input[2:]
 
 

@@ -13,6 +13,7 @@ from twinmatch.dynamics.prepare import prepare
 from twinmatch.kept import cache_folder
 from twinmatch.offline.processes import end_with_parent
 from twinmatch.plants import PLANTS, find_plant
+from twinmatch.signals import FloatArray
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,6 +47,7 @@ def _compile_all() -> int:
     models.join()
     channels = compile_beside(judge_channels)
     judge_a_loop()
+    search_once()
     channels.join()
     return models.exitcode or channels.exitcode or 0
 
@@ -108,6 +110,19 @@ def judge_a_loop() -> None:
     judge_samples(
         "simulated", samples_of(Window(reference, loop.output, loop.input)), settings
     )
+
+
+def search_once() -> None:
+    """Search for the least of a square, with the kernel of all fits to several windows."""
+    import numpy as np  # noqa: PLC0415
+
+    from twinmatch.dynamics import descend  # noqa: PLC0415
+
+    def square(point: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        return float(point @ point), point, np.eye(1)
+
+    bound = np.ones(1)
+    descend(square, np.full(1, 0.5), -bound, bound, bound, 5)
 
 
 def judge_channels() -> None:

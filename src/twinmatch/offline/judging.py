@@ -122,9 +122,12 @@ def _law_gives_inputs(settings: TwinSettings, session: Session) -> bool:
     )
     state = law.state(window.part(window.first, window.first + _LAW_CHECK.begin - 1))
     errors = []
+    # A window cannot be written to; for such arrays numba would compile the law again.
+    all_references = np.array(window.references)
+    all_outputs = np.array(window.outputs)
     for k in range(SKIPPED, len(window)):
-        references = window.references[k]
-        outputs = window.outputs[k]
+        references = all_references[k]
+        outputs = all_outputs[k]
         inputs = window.inputs[k]
         commands, _ = commands_of(law.code, state, references[None], outputs[None])
         errors.append(commands[0] - inputs)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import tracemalloc
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +19,12 @@ from bokeh.events import ButtonClick
 from bokeh.models import Button, ColumnDataSource
 
 from tests.support.colours import contrast
+from twinmatch.comparing import Verdict
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.offline.judging import Judgement
 from twinmatch.safety import LawReport, TrialPhase
 from twinmatch.showing.page.charts import POINTS, ChartFeed, stride_for
+from twinmatch.showing.page.heatmaps import GapMatrix
 from twinmatch.showing.page.state import (
     DashboardState,
     RollingTable,
@@ -167,6 +170,18 @@ def test_every_tab_has_its_own_view_of_the_same() -> None:
     assert list(source(second, "output").data["t"]) == [float(k) for k in range(401)]
 
 
+def matrix_of(verdict: Verdict) -> Any:
+    """The chart of a verdict's matrix alone: a whole tab takes half a second to make."""
+    matrix = GapMatrix()
+    matrix.update(verdict)
+    return matrix.figure
+
+
+def cells_of(chart: Any, renderer: int) -> Any:
+    """What one of its renderers draws, by columns."""
+    return chart.renderers[renderer].data_source.data
+
+
 def test_the_matrix_has_its_gaps_sums_and_intervals(judged: Judgement) -> None:
     last = judged.verdicts[-1]
     count = len(last.candidates)
@@ -179,11 +194,9 @@ def test_the_matrix_has_its_gaps_sums_and_intervals(judged: Judgement) -> None:
         ),
     )
     for verdict, interval in ((sure, "0.100 to 0.150"), (last, None)):
-        state = DashboardState()
-        state.push_verdict(verdict)
-        _, document = opened(state)
-        cells = source(document, "matrix", 0).data
-        sums = source(document, "matrix", 2).data
+        chart = matrix_of(verdict)
+        cells = cells_of(chart, 0)
+        sums = cells_of(chart, 2)
         nominal = str(
             1 + [c.name for c in verdict.candidates].index(verdict.nominal or "")
         )
@@ -205,13 +218,10 @@ def test_any_number_of_candidates_with_long_names_has_room_in_the_matrix(
     places = np.arange(8.0)
     distances = np.abs(places[:, None] - places) / 10
     gaps = tuple(map(tuple, distances.tolist()))
-    state = DashboardState()
-    state.push_verdict(
+    chart = matrix_of(
         replace(verdict, candidates=eight, nominal=eight[2].name, nu_gap=gaps)
     )
-    _, document = opened(state)
-    chart = document.get_model_by_name("matrix")
-    cells = source(document, "matrix", 0).data
+    cells = cells_of(chart, 0)
     assert chart.x_range.factors == [str(k) for k in range(1, 9)]
     assert len(set(chart.y_range.factors)) == 9
     for row in chart.y_range.factors:
