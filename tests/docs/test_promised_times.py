@@ -298,6 +298,7 @@ def logged(
         yield LoggedPage(samples, settings)
 
 
+@pytest.mark.long("judges forty minutes, or days, of a page's plant")
 def test_the_hot_end_on_its_page_is_matched_trusted_and_broken_when_the_page_says(
     tmp_path: Path,
 ) -> None:
@@ -321,6 +322,7 @@ def test_the_hot_end_on_its_page_is_matched_trusted_and_broken_when_the_page_say
     assert outcomes.faults["drive-lost"] <= outcomes.faults["drift"] + late
 
 
+@pytest.mark.long("judges forty minutes, or days, of a page's plant")
 def test_the_room_on_its_page_is_trusted_and_its_window_named_when_the_page_says(
     tmp_path: Path,
 ) -> None:

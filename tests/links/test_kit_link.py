@@ -17,12 +17,13 @@ pytest.importorskip("tclab", reason="pip install 'twinmatch[tclab]'")
 from tests.support.kits import BenchKit
 from tests.support.processes import Process
 from tests.support.waiting import wait_for
-from twinmatch.links.kit_keeper import is_pseudo_terminal, open_kit
+from twinmatch.links.kit_keeper import open_kit
 from twinmatch.links.kit_link import (
     KitAbsentError,
     KitError,
     KitLink,
     KitSilentError,
+    is_pseudo_terminal,
     require_port,
 )
 
@@ -153,6 +154,19 @@ def test_who_holds_the_port_checks_commands_and_a_port_that_is_gone_is_an_error_
     for _ in range(2):
         with pytest.raises(OSError):  # noqa: PT011
             board.off()
+
+
+def test_a_kit_that_answers_too_late_has_both_heaters_off(kit: BenchKit) -> None:
+    """The second is set to zero, too, though the first was not confirmed."""
+    board = open_kit(kit.port, patience=0.05)
+    board.drive(40.0, 30.0)
+    with (
+        kit.suspended(),
+        pytest.raises(KitError, match=r"no valid answer to 'Q1 0\.00'"),
+    ):
+        board.off()
+    wait_for_both_off(kit)
+    board.sp.close()
 
 
 def test_a_kit_that_answers_rubbish_is_switched_off(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from twinmatch.emulation.kit import KitBoard
@@ -40,6 +42,12 @@ class BenchKit:
     def say(self, data: bytes) -> None:
         with self._lock:
             self.board.say(data)
+
+    @contextmanager
+    def suspended(self) -> Iterator[None]:
+        """It receives and does nothing, as if its program had to wait for the processor."""
+        with self._lock:
+            yield
 
     def close(self) -> None:
         self._ending.set()

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import signal
-import sys
 from pathlib import Path
 
 import pytest
@@ -35,14 +33,12 @@ COMMANDS = [
 ]
 
 
-def shell(processes: Processes, folder: Path, line: str) -> Process:
-    """Run a line of the page in a folder, with this interpreter and its programs."""
-    text = line.replace("launch_scripts/", f"{LAUNCH_SCRIPTS}{os.sep}")
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {**os.environ, "PATH": path, "PYTHONUNBUFFERED": "1"}
-    return processes.start(
-        "bash", "-c", f"exec {text}", environment=environment, folder=folder
-    )
+def forked(processes: Processes, folder: Path, line: str) -> Process:
+    """Run a line of the page in a folder; that a launch script starts by itself is shown elsewhere."""
+    program, script, *arguments = shlex.split(line)
+    assert program == "python"
+    path = LAUNCH_SCRIPTS / script.removeprefix("launch_scripts/")
+    return processes.python(path, *arguments, folder=folder)
 
 
 def test_the_page_leads_from_a_rig_to_a_verdict_and_through_a_bag(
@@ -53,7 +49,7 @@ def test_the_page_leads_from_a_rig_to_a_verdict_and_through_a_bag(
     assert "python oven_rig.py" in PAGE
     rig = processes.python("oven_rig.py", folder=tmp_path)
     attach, verify, list_topics, take, judge = COMMANDS
-    run = shell(processes, tmp_path, attach)
+    run = forked(processes, tmp_path, attach)
     run.said(
         r"^ *\d+ +(unknown|usable|doubtful|trusted|unusable|good|faulty)", 4 * PATIENCE
     )

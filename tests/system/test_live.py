@@ -289,7 +289,10 @@ def forge_samples(listener: Listener) -> int:
 def test_a_forged_clock_costs_the_drive_until_its_fault_is_cleared_and_forged_samples_are_doubted(
     live_run: Callable[..., LiveRun],
 ) -> None:
-    """Nothing once the run has a clock; a forger who was there before keeps the output off until he goes."""
+    """Nothing once the run has a clock; a forger who was there before keeps the output off until he goes.
+
+    At eight times real time: what the test waits for needs no samples, and each costs processor time.
+    """
     with listening() as listener:
         clearing = listener.node.create_client(Trigger, "plant/clear_fault")
         applied = listener.hear(PwmApplied, "plant/pwm_applied", RELIABLE)
@@ -303,7 +306,7 @@ def test_a_forged_clock_costs_the_drive_until_its_fault_is_cleared_and_forged_sa
             return run.state()["pwm"] != 0.0
 
         with forger(listener, 2e9):
-            run = live_run(ends=False)
+            run = live_run("--speed", "8", ends=False)
             run.process.said("/clock is published by listener and plant_clock")
             run.process.said("refused: /clock: ")
             listener.spin_until(clearing.service_is_ready, "the bridge")

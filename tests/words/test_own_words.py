@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+import io
 import json
 import re
 from collections.abc import Iterator
@@ -17,16 +18,22 @@ pytest.importorskip(
 
 from bokeh.core.json_encoder import serialize_json
 from bokeh.document import Document
+from rich.console import Console
 
 from tests.showing.page.test_page import Nothing
 from tests.words.conftest import FOREIGN, Shown
 from twinmatch.cli import main
-from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.plants.records import description_of
 from twinmatch.sessions import read_session, write_session
+from twinmatch.showing.forecasts import backtest_tables, backtest_words
 from twinmatch.showing.foxglove.layout import layout
 from twinmatch.showing.page.state import DashboardState, TwinRow, update_sentence
 from twinmatch.showing.page.tab import Tab
+from twinmatch.showing.report.report import (
+    JudgedSession,
+    build_report,
+    judge_for_report,
+)
 from twinmatch.twin import Mirror
 
 Capture = pytest.CaptureFixture[str]
@@ -76,26 +83,32 @@ def test_a_forecast_uses_the_plants_words(
     shown.speaks_of_itself(out.read_text("utf-8"), '"y"')
 
 
-def test_a_backtest_uses_the_plants_words(shown: Shown, capsys: Capture) -> None:
-    text = printed_by(
-        capsys, "backtest", shown.folder, "--config", shown.config, "--horizon", 5
-    )
-    shown.speaks_of_itself(text)
+@pytest.fixture(scope="session")
+def judged(shown: Shown) -> JudgedSession:
+    """The plant's session, judged once for the report, the scores and the page."""
+    return judge_for_report(shown.folder, shown.config)
 
 
-def test_a_report_uses_the_plants_words(
-    shown: Shown, tmp_path: Path, capsys: Capture
-) -> None:
-    out = tmp_path / "report.html"
-    text = printed_by(
-        capsys, "report", shown.folder, "--config", shown.config, "-o", out
-    )
-    shown.speaks_of_itself(text, str(out))
-    page = re.sub(r"data:[^\"]*", "", out.read_text("utf-8"))
+def test_a_backtest_uses_the_plants_words(shown: Shown, judged: JudgedSession) -> None:
+    """What `twinmatch backtest` prints of the forecasts that a report scores, too."""
+    printed = io.StringIO()
+    console = Console(file=printed, width=140)
+    for table in backtest_tables(judged.tested):
+        console.print(table)
+    for line in backtest_words(judged.tested):
+        console.print(line)
+    shown.speaks_of_itself(printed.getvalue())
+
+
+def test_a_report_uses_the_plants_words(shown: Shown, judged: JudgedSession) -> None:
+    report = build_report(judged, shown.folder)
+    document = report.html()
+    shown.speaks_of_itself(report.sentence, shown.plant.output.unit)
+    page = re.sub(r"data:[^\"]*", "", document)
     page = re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL)
     shown.speaks_of_itself(html.unescape(re.sub(r"<[^>]*>", " ", page)))
     shown.speaks_of_itself(html.unescape(" ".join(re.findall(r'alt="([^"]*)"', page))))
-    drawn = re.findall(r"data:image/svg\+xml;base64,([^\"]*)", out.read_text("utf-8"))
+    drawn = re.findall(r"data:image/svg\+xml;base64,([^\"]*)", document)
     lettering = re.findall(
         r"<!-- (.*?) -->", "".join(base64.b64decode(p).decode("utf-8") for p in drawn)
     )
@@ -133,25 +146,24 @@ def test_a_page_that_knows_no_plant_yet_uses_nobodys_words() -> None:
     assert not FOREIGN.findall(text)
 
 
-def test_a_page_uses_the_plants_words(shown: Shown) -> None:
-    session = read_session(shown.folder)
-    judged = judge(session, terms_from_files(session, shown.config))
+def test_a_page_uses_the_plants_words(shown: Shown, judged: JudgedSession) -> None:
+    judgement = judged.judgement
     state = DashboardState()
     state.describe(description_of(shown.plant))
     page = Tab(state, Nothing(), clock=lambda: 0.0)
     document = Document()
     page.build(document)
-    mirror = Mirror(judged.settings.start, judged.settings.law)
-    for sample in judged.samples:
+    mirror = Mirror(judgement.settings.start, judgement.settings.law)
+    for sample in judgement.samples:
         state.push_sample(sample, 0.0)
         twin = mirror.push(sample)
         state.push_twin(
             sample.index,
             TwinRow(**{name: getattr(twin, name)[0] for name in TwinRow._fields}),
         )
-    for verdict in judged.verdicts:
+    for verdict in judgement.verdicts:
         state.push_verdict(verdict)
-    update_sentence(state, judged.settings)
+    update_sentence(state, judgement.settings)
     page.update()
     text = lettering(document) + document.title
     shown.speaks_of_itself(

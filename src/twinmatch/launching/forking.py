@@ -42,12 +42,15 @@ IMPORTED: Final = (
     "twinmatch.nodes.recorder",
     "twinmatch.nodes.twin",
     "twinmatch.cli.virtual_rig",
+    "email.parser",
+    "numpy.ma",
     "rosidl_generator_py",
     "service_msgs.msg",
     "type_description_interfaces.msg",
 )
-"""What most programs of a graph import, the last three when rclpy creates a node: a parser of message types.
-Others import the rest themselves."""
+"""What most programs of a graph import: `email.parser` when they ask for the version of the compiler, `numpy.ma`
+when numba looks at an array, the last three when rclpy creates a node (a parser of message types). Others import
+the rest themselves."""
 _MAX_LINE: Final = 1 << 17
 """Longest request, bytes."""
 _POLL: Final = 0.01

@@ -35,19 +35,22 @@ import tclab
 from tclab import tclab as package
 
 from twinmatch.errors import EXIT_USER_ERROR
-from twinmatch.links.kit_link import KitAbsentError, KitError, KitReading, require_port
+from twinmatch.links.kit_link import (
+    KitAbsentError,
+    KitError,
+    KitReading,
+    is_pseudo_terminal,
+    require_port,
+)
 
 _BAUDS = (115200, 9600)
 """Firmware before 1.2.3 uses the lower rate."""
 _ANSWER = 0.25
 """Longest wait for an answer, s; a kit gives it within 0.03 s."""
+_ANSWER_OF_PROGRAM = 1.0
+"""Longest wait for an answer of a program in place of a kit, s: a busy machine lets it wait for its turn."""
 _POSSIBLE = (-60.0, 300.0)
 """Range of its 10-bit converter, °C."""
-
-
-def is_pseudo_terminal(port: str) -> bool:
-    """Whether there is a program at the other end, such as the virtual kit, and no board that restarts."""
-    return os.path.realpath(port).startswith("/dev/pts/")
 
 
 class Kit(tclab.TCLab):
@@ -59,7 +62,7 @@ class Kit(tclab.TCLab):
     _ROUNDED: Final = 1.0
     """Rounding of the command, %: firmware before 1.4 takes whole percents."""
 
-    def __init__(self, port: str, patience: float = _ANSWER) -> None:
+    def __init__(self, port: str, patience: float) -> None:
         self.port = port
         self.debug = False
         self.baud = 0
@@ -85,7 +88,7 @@ class Kit(tclab.TCLab):
             raise KitAbsentError(
                 f"kit at {port}: the device reports {self.version[:40]!r}, which is not TCLab firmware"
             )
-        self.off()  # the package does so with heater 1 only
+        self.drive(0.0, 0.0)  # the package switches off heater 1 only
 
     def connect(self, baud: int) -> None:
         """Open the port, which restarts a real board, and switch heater 1 off, as the package does.
@@ -118,13 +121,20 @@ class Kit(tclab.TCLab):
         return KitReading(self._temperature("T1"), self._temperature("T2"), *set_to)
 
     def off(self) -> None:
-        """Switch both heaters off.
+        """Switch both heaters off: each is set to zero, whether or not the kit confirms the other.
 
         Raises:
             KitError: the kit does not confirm it.
             OSError: the port is gone.
         """
-        self.drive(0.0, 0.0)
+        errors = []
+        for heater in ("Q1", "Q2"):
+            try:
+                self._heater(heater, 0.0)
+            except KitError as error:
+                errors.append(error)
+        if errors:
+            raise errors[0]
 
     def _ask(self, words: str, kind: Callable[[str], Any] = str) -> Any:
         """The answer to a request, which is retried once."""
@@ -163,10 +173,10 @@ class Kit(tclab.TCLab):
         return answer
 
 
-def open_kit(port: str, patience: float = _ANSWER) -> Kit:
+def open_kit(port: str, patience: float | None = None) -> Kit:
     """The kit on a port, or the first on the USB bus if the port is empty. Takes 2 s with a board.
 
-    `patience` is the longest wait for an answer, s.
+    `patience` is the longest wait for an answer, s; by default that of a kit, or of a program in its place.
 
     Raises:
         KitAbsentError: there is no kit.
@@ -180,12 +190,14 @@ def open_kit(port: str, patience: float = _ANSWER) -> Kit:
                 )
         else:
             require_port(port)
+        if patience is None:
+            patience = _ANSWER_OF_PROGRAM if is_pseudo_terminal(port) else _ANSWER
         return Kit(port, patience)
 
 
 class _Keeper:
-    _OFFS: Final = 5
-    """Attempts to switch the heaters off before giving up."""
+    _OFFS: Final = 3
+    """Attempts to switch the heaters off before giving up, each of 1 s at most with a kit."""
 
     def __init__(self, kit: Kit, deadline: float) -> None:
         self._kit = kit
@@ -197,16 +209,19 @@ class _Keeper:
     def serve(self) -> int:
         """Answer commands until the input ends."""
         while True:
-            for line in self._lines():
-                if line is None:
-                    return 0
-                try:
+            try:
+                for line in self._lines():
+                    if line is None:
+                        return 0
                     self._say(self._answer(line.split()))
-                except (KitError, OSError) as error:
-                    self._say(f"error {error}")
-                    return 1
+            except (KitError, OSError) as error:
+                self._say(f"error {error}")
+                return 1
 
     def off(self) -> None:
+        """Switch the heaters off; from now on no signal ends this process before it has tried."""
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
         for _ in range(self._OFFS):
             with contextlib.suppress(KitError, OSError):
                 self._kit.off()

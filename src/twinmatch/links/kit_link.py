@@ -73,6 +73,11 @@ def require_port(port: str) -> None:
         )
 
 
+def is_pseudo_terminal(port: str) -> bool:
+    """Whether there is a program at the other end, such as the virtual kit, and no board that restarts."""
+    return os.path.realpath(port).startswith("/dev/pts/")
+
+
 class KitLink:
     """One kit; to be opened, driven and closed from one thread."""
 
@@ -80,10 +85,15 @@ class KitLink:
     """Longest start, s: the package waits 2 s at each of two speeds."""
     _ANSWER: Final = 3.0
     """Longest wait for an answer, s; the process gives up on the kit earlier."""
+    _ANSWER_OF_PROGRAM: Final = 10.0
+    """Longest wait for an answer where a program is in place of the kit, s; a command is four requests, each
+    with two tries of 1 s."""
     _ANSWER_IN_STEP: Final = 30.0
     """Longest wait for an answer of a virtual kit in step, which may be suspended, s."""
     _DEADLINE_IN_STEP: Final = 12.0
     """Time after which the process gives up on a kit in step, s."""
+    _END: Final = 4.0
+    """Longest wait for the end of the process, s: its three attempts to switch off take 3 s with a kit."""
     _SHORT: Final = 0.005
     """Wait for an answer of a kit in step, s."""
 
@@ -171,7 +181,7 @@ class KitLink:
         with contextlib.suppress(OSError):
             process.stdin.close()
         try:
-            process.wait(self._ANSWER)
+            process.wait(self._END)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
@@ -186,8 +196,15 @@ class KitLink:
             raise KitError(
                 f"kit: the process that holds its port is gone ({error.strerror})"
             ) from error
-        return self._answer(
-            self._ANSWER if self.plant_time is None else self._ANSWER_IN_STEP
+        return self._answer(self._patience)
+
+    @property
+    def _patience(self) -> float:
+        """Longest wait for an answer to a command, s."""
+        if self.plant_time is not None:
+            return self._ANSWER_IN_STEP
+        return (
+            self._ANSWER_OF_PROGRAM if is_pseudo_terminal(self.port) else self._ANSWER
         )
 
     def _answer(self, patience: float) -> tuple[str, str]:

@@ -351,10 +351,10 @@ class _SessionTimes(NamedTuple):
 
 
 class _Fitted(NamedTuple):
-    """A parameter under several hypotheses at once."""
+    """A parameter under several hypotheses at once: K of them, or S spreads and K of them."""
 
     evidence: FloatArray
-    """Logarithm of the integrated likelihood, shape (K,)."""
+    """Logarithm of the integrated likelihood, shape (K,) or (S, K)."""
     level: FloatArray
     size: FloatArray
     error: FloatArray
@@ -369,41 +369,37 @@ def _fit(history: ParameterHistory, shapes: FloatArray) -> _Fitted:
     # Surroundings, whose zero is arbitrary, are expected to be others every session; properties are not.
     prior = np.zeros(_SPREADS.size) if history.scale else -2.0 * np.log1p(_SPREADS)
     prior -= np.log(np.exp(prior).sum())
-    fits = [_fit_at(y, np.square(s) + spread**2, shapes) for spread in spreads]
-    logs = np.array([fit.evidence for fit in fits]) + prior[:, None]
+    fits = _fit_at(y, np.square(s) + np.square(spreads)[:, None], shapes)
+    logs = fits.evidence + prior[:, None]
     most = logs.max(axis=0)
     evidence = most + np.log(np.exp(logs - most).sum(axis=0))
     best = (logs.argmax(axis=0), np.arange(len(shapes)))
-    return _Fitted(
-        evidence=evidence,
-        level=np.array([fit.level for fit in fits])[best],
-        size=np.array([fit.size for fit in fits])[best],
-        error=np.array([fit.error for fit in fits])[best],
-    )
+    return _Fitted(evidence, fits.level[best], fits.size[best], fits.error[best])
 
 
 def _fit_at(y: FloatArray, variances: FloatArray, shapes: FloatArray) -> _Fitted:
-    """The same for one spread, by iteratively reweighted least squares."""
-    weights = np.tile(1.0 / variances, (len(shapes), 1))
+    """The same for each spread, with variances (S, n), by iteratively reweighted least squares."""
+    of_spread = variances[:, None]  # beside the axis of the shapes
+    weights = np.tile(1.0 / of_spread, (1, len(shapes), 1))
     for _ in range(_ROBUST.rounds):
         # normal equations: a·level + b·size = Σ w·y and b·level + c·size = Σ w·shape·y
         weighted_shapes = weights * shapes
-        a = weights.sum(axis=1)
-        b = weighted_shapes.sum(axis=1)
-        c = (weights * shapes**2).sum(axis=1)
+        a = weights.sum(axis=-1)
+        b = weighted_shapes.sum(axis=-1)
+        c = (weights * shapes**2).sum(axis=-1)
         c += 1.0 / _ROBUST.size**2
         determinant = a * c - b**2
         of_y = weights @ y
         of_shape = weighted_shapes @ y
         level = (c * of_y - b * of_shape) / determinant
         size = (a * of_shape - b * of_y) / determinant
-        residuals = y - level[:, None] - size[:, None] * shapes
-        squares = np.square(residuals) / variances
-        weights = (_ROBUST.degrees + 1.0) / (_ROBUST.degrees + squares) / variances
+        residuals = y - level[..., None] - size[..., None] * shapes
+        squares = np.square(residuals) / of_spread
+        weights = (_ROBUST.degrees + 1.0) / (_ROBUST.degrees + squares) / of_spread
     losses = (_ROBUST.degrees + 1.0) * np.log1p(squares / _ROBUST.degrees) + np.log(
-        variances
+        of_spread
     )
-    likelihood = -0.5 * losses.sum(axis=1)
+    likelihood = -0.5 * losses.sum(axis=-1)
     evidence = likelihood - 0.5 * np.log(determinant)
     evidence = evidence - 0.5 * np.square(size / _ROBUST.size) - math.log(_ROBUST.size)
     return _Fitted(evidence, level, size, np.sqrt(a / determinant))
