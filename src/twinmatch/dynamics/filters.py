@@ -140,7 +140,7 @@ class Opening(NamedTuple):
     """Index of the number that rises at the believed rate; negative: none."""
 
 
-@compiled(inside=True)
+@compiled(innermost=True)
 def _expected(covariance: FloatArray, slope: FloatArray, reach: FloatArray) -> float:
     """The variance expected of a reading without noise; `reach` gets its covariances."""
     variance = 0.0
@@ -153,7 +153,7 @@ def _expected(covariance: FloatArray, slope: FloatArray, reach: FloatArray) -> f
     return variance
 
 
-@compiled(inside=True)
+@compiled(innermost=True)
 def _take(  # noqa: PLR0917
     covariance: FloatArray,
     slope: FloatArray,
@@ -189,7 +189,7 @@ def _take(  # noqa: PLR0917
             covariance[i, j] += gain[i] * halves[j] + gain[j] * halves[i]
 
 
-@compiled(inside=True)
+@compiled(innermost=True)
 def _move(  # noqa: PLR0917
     code: Code,
     x: FloatArray,
@@ -219,7 +219,7 @@ def _move(  # noqa: PLR0917
     return columns
 
 
-@compiled(inside=True)
+@compiled(innermost=True)
 def _carry(
     moved: FloatArray, covariance: FloatArray, keeps: FloatArray, noise: FloatArray
 ) -> None:
@@ -541,7 +541,7 @@ def track(  # noqa: PLR0917
     return cost
 
 
-@compiled(inside=True)
+@compiled(innermost=True)
 def _weigh(  # noqa: PLR0917
     y: FloatArray,
     k: int,
@@ -569,7 +569,7 @@ def _weigh(  # noqa: PLR0917
     return expected + noise_variance, noise_variance
 
 
-@compiled(inside=True)
+@compiled(innermost=True)
 def _move_belief(  # noqa: PLR0917
     code: Code,
     fixed: TrackerConstants,

@@ -447,9 +447,14 @@ def spectral_bound(matrix: FloatArray) -> float:
                     matrix[m, i] *= ratio
     rows = columns = squares = 0.0
     for i in range(n):
-        rows = max(rows, np.sum(np.abs(matrix[i])))
-        columns = max(columns, np.sum(np.abs(matrix[:, i])))
-        squares += np.sum(matrix[i] ** 2)
+        row = column = square = 0.0
+        for m in range(n):
+            row += abs(matrix[i, m])
+            column += abs(matrix[m, i])
+            square += matrix[i, m] * matrix[i, m]
+        rows = max(rows, row)
+        columns = max(columns, column)
+        squares += square
     return float(min(rows, columns, np.sqrt(squares)))
 
 
@@ -475,6 +480,7 @@ def step_count(  # noqa: PLR0917
     fastest = 0.0
     work = work_for(code, vector)
     slopes = np.empty(n * (q + 1 + n + code[N_INPUTS]))
+    fx = slopes[n * q + n : n * q + n + n * n].reshape(n, n)
     for k in range(corners.shape[0]):
         x = corners[k]
         for drive_row in range(drives.shape[0]):
@@ -483,7 +489,6 @@ def step_count(  # noqa: PLR0917
                 for i in range(switched):
                     work.b[i] = float(branch >> i & 1)
                 call(code[SLOPES], x, u, d, work.p, work.b, slopes)
-                fx = slopes[n * q + n : n * q + n + n * n].reshape(n, n)
                 fastest = max(fastest, spectral_bound(fx))
     count = np.ceil(period * fastest / limit)
     return int(max(count, 1.0)) if count <= MAX_STEPS else MAX_STEPS + 1

@@ -54,6 +54,9 @@ _SEEN: Final = 2 / 3
 _LOOK = 8
 """Evaluations after which only the best of several starts continues."""
 _MAX_EVALUATIONS = 40
+_NEAR_ENOUGH: Final = 0.01 * LASTING
+"""Predicted decrease of the cost at which a search that is not thorough ends. The residuals of `LASTING`
+samples count as one, so the values are then a tenth of their standard errors from the minimum."""
 STRETCH: Final = 10.0
 """Length of the stretches in which a session is fitted, time constants of the plant."""
 _BLOCKS: Final = (8, 5.0)
@@ -182,7 +185,11 @@ def fit_structure(
             for first in firsts
         ]
         values = min(looks, key=lambda look: look.cost).values
-    best = problem.search(values, _MAX_EVALUATIONS if thorough else _LOOK)
+    best = (
+        problem.search(values, _MAX_EVALUATIONS)
+        if thorough
+        else problem.search(values, _LOOK, _NEAR_ENOUGH)
+    )
     return problem.fitted(best)
 
 
@@ -236,6 +243,8 @@ def held_back_costs(
     windows: Sequence[Window],
     noise: Noise | None = None,
     law: LoopLaw = FROM_PLANT_FILE,
+    *,
+    thorough: bool = True,
 ) -> FloatArray:
     """The cost of a free run on the last third of each window, after a fit to the rest: means over blocks of
     `LASTING`.
@@ -244,7 +253,7 @@ def held_back_costs(
 
     Args:
         fitted: the fit to the windows, from which the search starts.
-        windows, noise, law: as in `fit_structure`.
+        windows, noise, law, thorough: as in `fit_structure`.
     """
     noise = noise or Noise.of(fitted.model.plant)
     ends = [math.ceil(_SEEN * len(window)) for window in windows]
@@ -252,7 +261,9 @@ def held_back_costs(
     for window, end in zip(windows, ends, strict=True):
         size = max(end, SETTLE + SKIPPED + 1)
         parts.append(window.part(window.first, window.first + size - 1))
-    before = fit_structure(parts, fitted.model, start=fitted, noise=noise, law=law)
+    before = fit_structure(
+        parts, fitted.model, start=fitted, noise=noise, law=law, thorough=thorough
+    )
     problem = _Problem(_runs(windows, fitted.model, noise, law, {}))
     blocks = []
     for run, starts, end in zip(problem.runs, before.starts, ends, strict=True):
@@ -399,12 +410,14 @@ class _Problem:
             hessian[np.ix_(places, places)] += own_hessian
         return cost, gradient, hessian
 
-    def search(self, start: FloatArray, evaluations: int) -> Descended:
-        """Search from one start."""
+    def search(
+        self, start: FloatArray, evaluations: int, settled: float = 0.0
+    ) -> Descended:
+        """Search from one start, until the cost would hardly fall by more than `settled`."""
         box = self._lower, self._upper, self._scales, evaluations
         if len(self.runs) == 1:
-            return self.runs[0].descend(start, *box)
-        return descend(self.normal, start, *box)
+            return self.runs[0].descend(start, *box, settled=settled)
+        return descend(self.normal, start, *box, settled=settled)
 
     def fitted(self, best: Descended) -> StructureFit:
         """The fit from the result of a search."""
