@@ -1,10 +1,8 @@
 """Compilation of numeric kernels, and their cache on disk, which is valid until their code changes.
 
-numba caches compiled code under a stamp of the kernel's own source file. But a kernel contains the code of
-all kernels that it calls and the values of all constants that it uses, from any file: after a change of
-another file, numba alone would run outdated code. The stamp here covers everything that a kernel can reach:
-the code of the functions it names, recursively, fields of named tuples, and the values of constants. It is
-made from what this process has imported, not from the files: these may have been edited since.
+numba caches compiled code under a stamp of the kernel's own source file: after a change of another file whose
+functions or constants the kernel uses, numba alone would run outdated code. Here the stamp covers all of them
+(`kernel_stamps`).
 
 A module generated at run time is cached like any other if it is in `sys.modules` under its name.
 """
@@ -14,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import gc
-import hashlib
 import importlib.util
 import itertools
 import os
@@ -22,8 +19,7 @@ import pickle
 import secrets
 import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
-from types import CodeType, FunctionType, ModuleType
+from types import FunctionType
 from typing import Any, Final, TypeVar, overload
 
 import llvmlite.binding
@@ -33,12 +29,12 @@ from numba.core import event
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
 from numba.core.codegen import JITCodeLibrary
-from numba.core.dispatcher import Dispatcher
 from numba.core.environment import Environment, lookup_environment
 from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.kernel_stamps import OPTIONS, fields_of, hash_of_file, stamp_of
 
 _NEWEST: Final = (0, 68)
 """The newest numba whose insides are as used here (tests/test_compiled.py); pyproject.toml agrees."""
@@ -106,8 +102,8 @@ _load_lapack()
 told: Final[list[Callable[[str], None]]] = []
 """Those that want to know what is compiled now."""
 
-_OPTIONS: Final = "compiled_with"
-"""Attribute of a kernel's function: how it is compiled, which its code does not say."""
+_OWN_SOURCE: Final = hash_of_file(__file__)
+"""This module, as it was imported: how kernels are compiled."""
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -157,7 +153,7 @@ def compiled(
     }
     if function is None:
         return functools.partial(compiled, **options)
-    vars(function)[_OPTIONS] = options
+    vars(function)[OPTIONS] = options
     alone: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     if inlined:
         alone["inline"] = "always"
@@ -350,7 +346,7 @@ class _KernelCache(FunctionCache):
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         # numba identifies named-tuple arguments by class name only; their fields may change.
-        return (*super()._index_key(sig, codegen), tuple(_fields(sig)))
+        return (*super()._index_key(sig, codegen), tuple(fields_of(sig)))
 
 
 class _Stamped:
@@ -361,143 +357,7 @@ class _Stamped:
         self._function = function
 
     def get_source_stamp(self) -> str:
-        return _stamp(self._function)
+        return stamp_of(self._function, _OWN_SOURCE)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._locator, name)
-
-
-def _fields(kind: Any) -> Iterator[tuple[str, ...]]:
-    """Fields of all named tuples in a signature or a type."""
-    if isinstance(kind, numba.types.BaseNamedTuple):
-        yield tuple(kind.fields)
-    members = (
-        kind
-        if isinstance(kind, (tuple, numba.types.BaseTuple))
-        else getattr(kind, "args", ())
-    )
-    for member in members:
-        yield from _fields(member)
-
-
-def _stamp(function: FunctionType) -> str:
-    """One hash of all code and constants that a kernel is made from."""
-    ingredients = {_OWN_SOURCE}
-    visited: set[int] = set()
-    waiting = [function]
-    while waiting:
-        current = waiting.pop()
-        if id(current) in visited:
-            continue
-        visited.add(id(current))
-        ingredients.add(_hash_of_function(current))
-        for name, value in _named(current):
-            if isinstance(value, Dispatcher):
-                waiting.append(value.py_func)
-            elif isinstance(value, FunctionType):
-                waiting.append(value)
-            elif isinstance(getattr(value, "_defn", None), FunctionType):
-                # one of our intrinsics
-                waiting.append(value._defn)
-            elif isinstance(value, type):
-                ingredients.add(_hash_of_class(value))
-            else:
-                ingredients.add(_hash(name.encode() + b"=" + _bytes_of(value)))
-    return hashlib.sha256(b"".join(sorted(ingredients))).hexdigest()
-
-
-@functools.cache
-def _hash_of_function(function: FunctionType) -> bytes:
-    """Hash of a function as it was imported: its code, defaults and options, but no line numbers."""
-    defaults = function.__defaults__, function.__kwdefaults__
-    text = repr(
-        (
-            function.__qualname__,
-            vars(function).get(_OPTIONS),
-            _contents(function.__code__),
-        )
-    )
-    return _hash(text.encode() + _bytes_of(defaults))
-
-
-def _contents(code: CodeType) -> tuple[Any, ...]:
-    """What a function does, as values whose `repr` is the same in every process."""
-    constants: list[Any] = []
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):  # a comprehension or an inner function
-            constants.append(_contents(constant))
-        elif isinstance(constant, frozenset):
-            constants.append(sorted(map(repr, constant)))
-        else:
-            constants.append(constant)
-    names = code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
-    arguments = (
-        code.co_argcount,
-        code.co_posonlyargcount,
-        code.co_kwonlyargcount,
-        code.co_flags,
-    )
-    return code.co_code, code.co_exceptiontable, constants, names, arguments
-
-
-@functools.cache
-def _hash_of_class(kind: type) -> bytes:
-    """Hash of a named tuple's fields, all that a kernel takes from it; of any other class, of its file."""
-    name = f"{kind.__module__}.{kind.__qualname__}".encode()
-    fields = getattr(kind, "_fields", None)
-    if fields is None:
-        return _hash(
-            name
-            + _hash_of_file(getattr(sys.modules.get(kind.__module__), "__file__", None))
-        )
-    return _hash(name + _bytes_of((fields, getattr(kind, "_field_defaults", {}))))
-
-
-def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """The objects that a function's code may refer to by name, including members of modules."""
-    names = set(_names(function.__code__))
-    cells = function.__closure__ or ()
-    scope = function.__globals__ | {
-        n: c.cell_contents
-        for n, c in zip(function.__code__.co_freevars, cells, strict=True)
-    }
-    for name in names | set(function.__code__.co_freevars):
-        value = scope.get(name)
-        if isinstance(value, ModuleType):
-            # numpy's functions are implemented by numba, whose version numba checks.
-            if value.__name__.partition(".")[0] not in {"numpy", "math", "numba"}:
-                yield from ((n, getattr(value, n)) for n in names if hasattr(value, n))
-        elif name in scope:
-            yield name, value
-
-
-def _names(code: CodeType) -> Iterator[str]:
-    yield from code.co_names
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):  # a comprehension
-            yield from _names(constant)
-
-
-def _bytes_of(value: object) -> bytes:
-    try:
-        return pickle.dumps(value)
-    except (pickle.PicklingError, TypeError, AttributeError):
-        return repr(type(value)).encode()
-
-
-def _hash(content: bytes) -> bytes:
-    return hashlib.sha256(content).digest()
-
-
-def _hash_of_file(path: str | None) -> bytes:
-    """Hash of a file's content; nothing if it cannot be read."""
-    if path is None:
-        return b""
-    try:
-        return _hash(Path(path).read_bytes())
-    except OSError:
-        return b""
-
-
-_OWN_SOURCE: Final = _hash_of_file(__file__)
-"""This module, as it was imported: how kernels are compiled."""

@@ -25,7 +25,7 @@ from tests.support.rooms import PERIOD, recorded_room
 from tests.support.servo import Servo, turns
 from twinmatch.adding import Proposal, check_plant, example, files_of, propose
 from twinmatch.adding.data import check_data, compare_structures, loop_findings
-from twinmatch.adding.noise import noise_of
+from twinmatch.adding.noise import first_order_answer, noise_of
 from twinmatch.adding.written_files import AddingError
 from twinmatch.cli import main
 from twinmatch.dynamics import PidGains, begin, simulate_closed_loop, simulate_driven
@@ -58,6 +58,14 @@ def test_noise_is_that_of_the_rest_where_the_plant_moves_fast() -> None:
     run = turns(servo, 6000)
     assert np.ptp(run.output) > 2000.0
     assert noise_of(run.output) == pytest.approx(0.18 / np.sqrt(12.0), rel=0.5)
+
+
+def test_the_answer_of_a_first_order_lag_is_that_of_scipy_bit_for_bit() -> None:
+    """Without scipy.signal, whose import takes longer than all that a noise is read off with."""
+    u = np.repeat(np.random.default_rng(1).standard_normal(36), 10)
+    for pole in (0.0, 0.3, 0.999, 1.0):
+        answer = lfilter([0.0, 1.0 - pole], [1.0, -pole], u)
+        assert first_order_answer(u, pole).tolist() == answer.tolist()
 
 
 def divider(kelvin: np.ndarray) -> np.ndarray:

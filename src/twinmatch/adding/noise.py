@@ -18,6 +18,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from twinmatch.compiled import compiled
 from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
@@ -138,8 +139,6 @@ def resolution(values: FloatArray) -> float:
 
 def _unexplained(values: FloatArray, inputs: Sequence[FloatArray]) -> FloatArray:
     """Readings without what first-order lags of the inputs explain, and of where the plant was at first."""
-    from scipy.signal import lfilter  # noqa: PLC0415
-
     size = values.size
     count = min(_ANSWERS.lags, size // (_ANSWERS.per_lag * (1 + len(inputs))))
     if not inputs or count < 2:
@@ -147,7 +146,7 @@ def _unexplained(values: FloatArray, inputs: Sequence[FloatArray]) -> FloatArray
     columns = [np.ones(size), *inputs]
     for pole in np.exp(-1.0 / np.geomspace(1.0, size / 4, count)):
         columns.append(pole ** np.arange(size))
-        columns += [lfilter([0.0, 1.0 - pole], [1.0, -pole], u - u[0]) for u in inputs]
+        columns += [first_order_answer(u - u[0], float(pole)) for u in inputs]
     table = np.column_stack(columns)
     table = table / (np.linalg.norm(table, axis=0) + 1e-300)
     residuals = values
@@ -162,6 +161,17 @@ def _unexplained(values: FloatArray, inputs: Sequence[FloatArray]) -> FloatArray
             np.abs(residuals)
         )
     return residuals
+
+
+@compiled
+def first_order_answer(u: FloatArray, pole: float) -> FloatArray:
+    """Answer of a first-order lag of gain 1, at rest before: y[k+1] = pole y[k] + (1 − pole) u[k], shape of u."""
+    y = np.empty(u.size)
+    newest = 0.0
+    for k in range(u.size):
+        y[k] = newest
+        newest = (1.0 - pole) * u[k] + pole * newest
+    return y
 
 
 def _noise(values: FloatArray) -> float:

@@ -225,9 +225,8 @@ def _judge(
     *,
     peers: Sequence[str] = tuple(PEERS),
     watch: Watch | None = None,
-    work: Beside | None = None,
 ) -> JudgedSession:
-    listener = Listener(session.name, terms.settings, Choices(peers=tuple(peers)), work)
+    listener = Listener(session.name, terms.settings, Choices(peers=tuple(peers)))
     judgement = judge(session, terms, watch=part_of(watch, 0, 2), beside=listener)
     recorded, identical = _verify(session, judgement, why_incomparable)
     watch_rest = part_of(watch, 1, 2)
@@ -475,6 +474,17 @@ def build_report(
     )
 
 
+def _load_what_draws_and_is_drawn(judged: JudgedSession) -> None:
+    """Do what both processes would do, each for itself, if it were left until the figures are drawn.
+
+    The forecasts are scored here, too: to hand them over, and to load their kernels twice, costs more than half of
+    what a second process would save.
+    """
+    for module in ("matplotlib.backends.backend_svg", "matplotlib.figure"):
+        import_module(module)
+    _ = judged.tests
+
+
 def make_report(
     path: Path,
     *,
@@ -500,7 +510,7 @@ def make_report(
         watch: called with the progress.
         progress: called with the amount of the file read and the total.
         command: command line shown in the report.
-        second: whether a second process may help; it is a fork of this one.
+        second: whether a second process may draw some of the figures; it is a fork of this one.
         memory, rig: file of earlier sessions and name of the rig, for what has changed between them; without
             a file that of the rig, if one is named.
 
@@ -509,12 +519,9 @@ def make_report(
     """
     session = open_any(path, progress=progress, plant=plant)
     terms, why_incomparable = _terms(session, config, candidates)
-    # slow; the second process has it, too
-    import_module("matplotlib.backends.backend_svg")
+    judged = _judge(session, terms, why_incomparable, peers=peers, watch=watch)
+    _load_what_draws_and_is_drawn(judged)
     with beside(possible=second and portable(terms.settings.plant)) as work:
-        judged = _judge(
-            session, terms, why_incomparable, peers=peers, watch=watch, work=work
-        )
         report = build_report(judged, path, command=command, work=work)
     return replace(
         report, memory=tuple(memory_words(terms.settings.plant, memory, rig))
