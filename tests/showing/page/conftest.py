@@ -170,7 +170,7 @@ class Browser:
             except (Covered, Hidden, Gone):
                 return False
 
-        wait_for(clicked, f"the button {label}")
+        self.wait_for(clicked, f"the button {label}")
 
     def column(self, chart: str, renderer: int, name: str) -> list[float]:
         """What a chart draws; empty while the page is being built again, which takes its charts away."""

@@ -58,6 +58,8 @@ of_the_page = pytest.mark.usefixtures("page")
 FORECAST = 3
 ANSWER = 6
 """Where the chart of the output draws what comes next, among its lines."""
+MATCHED = 300
+"""Sample of the quarter of an hour with its first match, and first verdict on a family."""
 LEADS = 310
 """Samples of the quarter of an hour after which the first twin is matched, which leads then."""
 
@@ -387,7 +389,7 @@ def test_a_chart_is_drawn_only_while_somebody_can_see_it(
 def test_verdicts_family_and_events_are_shown(
     graph: Graph, browser: Any, judged: Judgement
 ) -> None:
-    graph.session(list(judged.samples), judged)
+    graph.session(list(judged.samples[MATCHED - 20 :]), judged)
     last = judged.verdicts[-1]
     assert last.nominal is not None
     browser.wait_for(
@@ -632,7 +634,7 @@ def test_without_control_nothing_can_be_asked_of_the_rig(
 def test_a_replay_is_paused_and_hurried(
     browser: Any, node: Callable[..., Process], tmp_path: Path
 ) -> None:
-    session = write_session(tmp_path / "hour", counted(3600))
+    session = write_session(tmp_path / "half", counted(1800))
     assert browser.button("Pause") is None
     player = node("player", f"session:={session}", "rate:=10.0")
     browser.wait_for(lambda: "playing: " in browser.text, "the player")
@@ -650,7 +652,7 @@ def test_a_replay_is_paused_and_hurried(
     )
     browser.click("max")
     assert player.wait() == 0
-    browser.wait_for(lambda: "sample 3599, 3599 s" in browser.text, "the last sample")
+    browser.wait_for(lambda: "sample 1799, 1799 s" in browser.text, "the last sample")
     browser.wait_for(
         lambda: browser.button("Pause") is None, "that the player has gone"
     )
