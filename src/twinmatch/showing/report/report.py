@@ -477,8 +477,8 @@ def build_report(
 def _load_what_draws_and_is_drawn(judged: JudgedSession) -> None:
     """Do what both processes would do, each for itself, if it were left until the figures are drawn.
 
-    The forecasts are scored here, too: to hand them over, and to load their kernels twice, costs more than half of
-    what a second process would save.
+    The forecasts are scored here, too: to hand them over, and to load their kernels twice, takes as long as a second
+    process would save.
     """
     for module in ("matplotlib.backends.backend_svg", "matplotlib.figure"):
         import_module(module)
