@@ -47,8 +47,9 @@ _MAX_DAMPING = 1e9
     _CONVERGED,
     _KNOWN,
     _CAME_BACK,
+    _SETTLED,
     _N,
-) = range(9)
+) = range(10)
 
 
 class Descended(NamedTuple):
@@ -82,7 +83,8 @@ class Search(NamedTuple):
     known_hessian: FloatArray
     figures: FloatArray
     """Damping, its growth, expected decrease, evaluations so far and at most, whether it converged, sum at
-    the known minimum (NaN without one), whether the search entered its valley."""
+    the known minimum (NaN without one), whether the search entered its valley, and the predicted decrease
+    at which it ends."""
 
 
 def new_search(  # noqa: PLR0917
@@ -92,13 +94,18 @@ def new_search(  # noqa: PLR0917
     scales: FloatArray,
     most_evaluations: int,
     found: Descended | None = None,
+    settled: float = 0.0,
 ) -> Search:
-    """A new search, which first requests its start, shape (n,), inside the bounds."""
+    """A new search, which first requests its start, shape (n,), inside the bounds.
+
+    It ends where an undamped step predicts a decrease of at most `settled`, and where that is rounding.
+    """
     n = start.size
     figures = np.zeros(_N)
     figures[_DAMPING] = _FIRST_DAMPING
     figures[_GROWTH] = 2.0
     figures[_MAX_EVALUATIONS] = most_evaluations
+    figures[_SETTLED] = settled
     is_known = found is not None and found.converged
     figures[_KNOWN] = found.cost if is_known and found else np.nan
     return Search(
@@ -139,13 +146,14 @@ def descend(  # noqa: PLR0917
     scales: FloatArray,
     most_evaluations: int,
     found: Descended | None = None,
+    settled: float = 0.0,
 ) -> Descended:
     """Minimise the sum of squared residuals from one start (shape (n,), inside the bounds).
 
     `normal` gives the sum, the gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n). If the search enters the
-    valley of the minimum `found` before, it ends with that one.
+    valley of the minimum `found` before, it ends with that one. `settled` as in `new_search`.
     """
-    search = new_search(start, lower, upper, scales, most_evaluations, found)
+    search = new_search(start, lower, upper, scales, most_evaluations, found, settled)
     while update_search(search, *normal(search.point.copy())):
         pass
     return search_result(search, found)
@@ -182,7 +190,7 @@ def update_search(
         promised = box_step(
             search.hessian, search.gradient, values, lower, upper, MIN_DAMPING
         )[1]
-        if promised <= _TOLERANCE * cost + _NOTHING:
+        if promised <= max(_TOLERANCE * cost + _NOTHING, figures[_SETTLED]):
             figures[_CONVERGED] = 1.0
             return False
     else:

@@ -259,9 +259,12 @@ class Experiment:
         scales: FloatArray,
         most_evaluations: int,
         found: Descended | None = None,
+        settled: float = 0.0,
     ) -> Descended:
         """Minimise the cost from one start inside the bounds, like `twinmatch.dynamics.descend`."""
-        search = new_search(start, lower, upper, scales, most_evaluations, found)
+        search = new_search(
+            start, lower, upper, scales, most_evaluations, found, settled
+        )
         self._kernels.search(self._problem, search)
         return search_result(search, found)
 

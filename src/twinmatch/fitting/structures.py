@@ -54,6 +54,10 @@ _SEEN: Final = 2 / 3
 _LOOK = 8
 """Evaluations after which only the best of several starts continues."""
 _MAX_EVALUATIONS = 40
+_NEAR_ENOUGH: Final = 0.01 * LASTING
+"""Predicted decrease of the cost at which a search that is not thorough ends. The residuals of `LASTING`
+samples count as one, so if the cost is quadratic there, the values are a tenth of their standard errors from
+the minimum."""
 STRETCH: Final = 10.0
 """Length of the stretches in which a session is fitted, time constants of the plant."""
 _BLOCKS: Final = (8, 5.0)
@@ -148,8 +152,8 @@ def fit_structure(
         noise: unit of the residuals; default: the plant's.
         law: that of the running controller, None if the loop is not known; default: the plant file's, at
             the windows' period.
-        thorough: search from several starts to convergence; otherwise from the best one until the cost falls
-            by less than about a part in ten thousand, in a fifth of the time.
+        thorough: search from several starts to convergence; otherwise from the best one until the values seem
+            to be a tenth of their standard errors from the minimum, for a few evaluations.
         informed: use the plant file's typical values as prior, as one independent residual for each
             parameter. A few minutes leave a valley of parameters that fit equally well, whose ends forecast
             badly; an hour outweighs the prior.
@@ -182,7 +186,11 @@ def fit_structure(
             for first in firsts
         ]
         values = min(looks, key=lambda look: look.cost).values
-    best = problem.search(values, _MAX_EVALUATIONS if thorough else _LOOK)
+    best = (
+        problem.search(values, _MAX_EVALUATIONS)
+        if thorough
+        else problem.search(values, _LOOK, _NEAR_ENOUGH)
+    )
     return problem.fitted(best)
 
 
@@ -236,6 +244,8 @@ def held_back_costs(
     windows: Sequence[Window],
     noise: Noise | None = None,
     law: LoopLaw = FROM_PLANT_FILE,
+    *,
+    thorough: bool = True,
 ) -> FloatArray:
     """The cost of a free run on the last third of each window, after a fit to the rest: means over blocks of
     `LASTING`.
@@ -244,7 +254,7 @@ def held_back_costs(
 
     Args:
         fitted: the fit to the windows, from which the search starts.
-        windows, noise, law: as in `fit_structure`.
+        windows, noise, law, thorough: as in `fit_structure`.
     """
     noise = noise or Noise.of(fitted.model.plant)
     ends = [math.ceil(_SEEN * len(window)) for window in windows]
@@ -252,7 +262,9 @@ def held_back_costs(
     for window, end in zip(windows, ends, strict=True):
         size = max(end, SETTLE + SKIPPED + 1)
         parts.append(window.part(window.first, window.first + size - 1))
-    before = fit_structure(parts, fitted.model, start=fitted, noise=noise, law=law)
+    before = fit_structure(
+        parts, fitted.model, start=fitted, noise=noise, law=law, thorough=thorough
+    )
     problem = _Problem(_runs(windows, fitted.model, noise, law, {}))
     blocks = []
     for run, starts, end in zip(problem.runs, before.starts, ends, strict=True):
@@ -399,12 +411,14 @@ class _Problem:
             hessian[np.ix_(places, places)] += own_hessian
         return cost, gradient, hessian
 
-    def search(self, start: FloatArray, evaluations: int) -> Descended:
-        """Search from one start."""
+    def search(
+        self, start: FloatArray, evaluations: int, settled: float = 0.0
+    ) -> Descended:
+        """Search from one start, until the cost would hardly fall by more than `settled`."""
         box = self._lower, self._upper, self._scales, evaluations
         if len(self.runs) == 1:
-            return self.runs[0].descend(start, *box)
-        return descend(self.normal, start, *box)
+            return self.runs[0].descend(start, *box, settled=settled)
+        return descend(self.normal, start, *box, settled=settled)
 
     def fitted(self, best: Descended) -> StructureFit:
         """The fit from the result of a search."""

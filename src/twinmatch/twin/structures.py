@@ -157,7 +157,7 @@ def choose_structure(
                 law=law,
                 thorough=thorough,
             )
-            costs = held_back_costs(fitted, several, noise, law)
+            costs = held_back_costs(fitted, several, noise, law, thorough=thorough)
             scores.append(StructureScore(fitted, costs, costs))
         except TwinmatchError:
             if not model.is_external:
