@@ -437,6 +437,21 @@ def test_a_search_continues_from_an_earlier_fit() -> None:
     assert quick.cost == pytest.approx(thorough.cost, rel=1e-2)
 
 
+def test_a_quick_search_ends_within_a_tenth_of_the_standard_errors() -> None:
+    """From a fit to a part of the window, as a running twin repeats its fits."""
+    window = recorded(TRUTH_STRUCTURES, seed=2)
+    of_part = fit_structure([window.part(0, 4 * len(window) // 5)], HELD)
+    thorough = fit_structure([window], HELD, start=of_part)
+    quick = fit_structure([window], HELD, start=of_part, thorough=False)
+    free = HELD.structure.free
+    way = np.array(
+        [quick.parameters[name] - thorough.parameters[name] for name in free]
+    )
+    assert quick.converged
+    # a thorough search would have gone on
+    assert 0.0 < way @ np.linalg.solve(thorough.covariance, way) <= 0.1**2
+
+
 def test_an_independent_search_finds_the_same() -> None:
     """scipy's robust loss on the plain simulation, derivatives by differences; ours ends no higher."""
     window = recorded(TRUTH_STRUCTURES, seed=3, levels=LEVELS[:3])

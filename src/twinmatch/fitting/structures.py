@@ -56,7 +56,8 @@ _LOOK = 8
 _MAX_EVALUATIONS = 40
 _NEAR_ENOUGH: Final = 0.01 * LASTING
 """Predicted decrease of the cost at which a search that is not thorough ends. The residuals of `LASTING`
-samples count as one, so the values are then a tenth of their standard errors from the minimum."""
+samples count as one, so if the cost is quadratic there, the values are a tenth of their standard errors from
+the minimum."""
 STRETCH: Final = 10.0
 """Length of the stretches in which a session is fitted, time constants of the plant."""
 _BLOCKS: Final = (8, 5.0)
@@ -151,8 +152,8 @@ def fit_structure(
         noise: unit of the residuals; default: the plant's.
         law: that of the running controller, None if the loop is not known; default: the plant file's, at
             the windows' period.
-        thorough: search from several starts to convergence; otherwise from the best one until the cost falls
-            by less than about a part in ten thousand, in a fifth of the time.
+        thorough: search from several starts to convergence; otherwise from the best one until the values seem
+            to be a tenth of their standard errors from the minimum, for a few evaluations.
         informed: use the plant file's typical values as prior, as one independent residual for each
             parameter. A few minutes leave a valley of parameters that fit equally well, whose ends forecast
             badly; an hour outweighs the prior.
