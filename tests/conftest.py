@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import gc
 import math
@@ -146,8 +147,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     gc.disable()  # until all is collected: little of it is garbage
+    if hasattr(config, "workerinput"):
+        _lead_a_session()
     keep_mounts_to_this_process()
     config.pluginmanager.register(Durations())
+
+
+def _lead_a_session() -> None:
+    """Begin a session of this worker's own.
+
+    Linux shares the processors among sessions, and the programs that tests start have their own: the workers, with
+    the emulated hardware that runs in them, would share what one of these programs gets.
+    """
+    with contextlib.suppress(PermissionError):  # it leads a group already
+        os.setsid()
 
 
 def pytest_xdist_auto_num_workers() -> int:
