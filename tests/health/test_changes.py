@@ -103,7 +103,6 @@ def test_shifted_readings_never_become_usual_and_are_over_when_they_step_back() 
     assert 1900 <= alarm.last <= 1960
     lie = monitor.lie_between(1000, 1100)
     assert lie == Lie("temperature", alarm.first, alarm.last)
-    assert lie.when == f"were off from sample {alarm.first} to {alarm.last}"
     assert monitor.lie_between(0, alarm.first - 1) is None
     assert monitor.lie_between(alarm.last + 1, 1979) is None
     assert {bool(doubt) for doubt in doubts[800:1900]} == {True}

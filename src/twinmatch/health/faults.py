@@ -171,13 +171,6 @@ class Lie(NamedTuple):
         """Whether it touches the samples `first` to `last`, both included."""
         return _overlap(self.first, self.last, first, last)
 
-    @property
-    def when(self) -> str:
-        """When its readings were off, in words."""
-        if self.last is None:
-            return f"have been off since sample {self.first}"
-        return f"were off from sample {self.first} to {self.last}"
-
 
 def _overlap(begin: int, end: int | None, first: int, last: int) -> bool:
     """Whether the samples `begin` to `end` (None: all that follow) touch the samples `first` to `last`."""

@@ -371,8 +371,7 @@ class Discriminator:
         if not trigger.excited:
             return [self._judge(trigger, MatchResult(reason=trigger.reason))]
         if reason := self._why_not_matched(trigger.window):
-            refusal = MatchResult(REFUSED, f"not matched: {reason}")
-            return [self._judge(trigger, refusal)]
+            return [self._judge(trigger, MatchResult(REFUSED, reason))]
         self._request = self._new_request(trigger)
         if not self._external:
             # most of a match is compiled code, which releases the GIL
@@ -386,12 +385,14 @@ class Discriminator:
         first = window.first
         last = window.last
         if alarm := self.monitor.fault_between(first, last):
-            return f"{alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
+            return f"not matched: {alarm.fault.value} since sample {alarm.first}: {alarm.reason}"
         if self._last_on_estimate is not None and first <= self._last_on_estimate:
-            return f"the law ran on an estimate until sample {self._last_on_estimate}"
+            return f"not matched: the law ran on an estimate until sample {self._last_on_estimate}"
         if lie := self.monitor.lie_between(first, last):
-            return f"the readings of {lie.signal} {lie.when}"
-        return self._trial_between(first, last)
+            return f"not matched: the readings of {lie.signal} were off from sample {lie.first} on"
+        if trial := self._trial_between(first, last):
+            return f"not matched: {trial}"
+        return ""
 
     def _new_request(self, trigger: Trigger) -> MatchRequest:
         """The request for a trigger; its incumbent is the regime's current candidate."""

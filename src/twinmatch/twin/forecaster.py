@@ -239,7 +239,7 @@ class Forecaster:
 
     def forget_since(self, sample: int) -> None:
         """Take back what forecasts have taught since a sample, and a little before it; if it is too long ago,
-        nothing. Candidates that were not there begin anew."""
+        nothing. Candidates that were not there start over."""
         earlier = [learned for learned in self._learned if learned.sample < sample]
         if not earlier:
             return

@@ -22,6 +22,8 @@ from tests.support.colours import contrast
 from twinmatch.comparing import Verdict
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.offline.judging import Judgement
+from twinmatch.plants import TCLabBoth
+from twinmatch.plants.records import description_of
 from twinmatch.safety import LawReport, TrialPhase
 from twinmatch.showing.page.charts import POINTS, ChartFeed, stride_for
 from twinmatch.showing.page.heatmaps import GapMatrix
@@ -428,6 +430,24 @@ def test_letters_in_the_charts_can_be_read(judged: Judgement) -> None:
         "major_label_text_color",
         "label_text_color",
     }
+
+
+def test_a_tab_asks_to_be_reloaded_until_it_is() -> None:
+    """A browser that takes the document after the first time sees a change all the same."""
+    state = DashboardState()
+    page, document = opened(state)
+    status = document.get_model_by_name("status")
+    page.update()
+    assert status.tags == []
+    state.describe(description_of(TCLabBoth))
+    asked = []
+    for _ in range(3):
+        page.update()
+        asked.append(list(status.tags))
+    assert [plant for plant, _ in asked] == [TCLabBoth.name] * 3
+    assert len({number for _, number in asked}) == 3
+    _, reloaded = opened(state)
+    assert reloaded.get_model_by_name("status").tags == []
 
 
 def test_a_tab_is_sent_one_thermal_image_a_second() -> None:

@@ -223,6 +223,7 @@ class Tab:
             self._texts["notice"] = panel("notice")
         self._seen: dict[str, object] = {}
         self._image_drawn_at = -math.inf  # by the clock, s
+        self._reloads_asked = 0
 
     def build(self, document: Document) -> None:
         """Make the document, and keep it up to date for as long as its tab is open."""
@@ -279,12 +280,17 @@ class Tab:
             self._update_family()
             self._draw_image(now)
             self._player.update(state.nodes.player)
-            if (
-                self._changed("described", state.described)
-                and state.described != self._described
-            ):
-                # reloads the page, with these names
-                self._texts["status"].tags = [state.described.plant]
+            if state.described != self._described:
+                self._ask_to_reload(state.described.plant)
+
+    def _ask_to_reload(self, plant: str) -> None:
+        """Have the browser reload the page, which then has this plant's charts.
+
+        It is asked at every update until it has: to one that takes the document only now, what was said before is
+        how the document is, and no change.
+        """
+        self._reloads_asked += 1
+        self._texts["status"].tags = [plant, self._reloads_asked]
 
     def _samples_shown(self) -> int:
         """How many of the newest samples the charts show."""
