@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import ClassVar
 
+import numpy as np
+
 from twinmatch.dynamics import (
     Drive,
     Equations,
@@ -13,7 +15,10 @@ from twinmatch.dynamics import (
     Plant,
     State,
     Structure,
+    begin,
+    simulate_driven,
 )
+from twinmatch.signals import Window
 
 
 class Heaters(Plant):
@@ -67,3 +72,25 @@ class Heaters(Plant):
             ] - lost[1] - exchanged
 
         return rates
+
+
+def heated(samples: int) -> Window:
+    """Both heaters at random levels of 50 samples each, of 2 s, with a noise of 0.1 °C."""
+    truth = Heaters.model().parameters()
+    rng = np.random.default_rng(5)
+    u = np.repeat(rng.uniform(0.0, 60.0, (samples // 50, 2)), 50, axis=0)
+    run = simulate_driven(truth, u, states=begin(truth, [23.0, 23.0]), period=2.0)
+    return Window(
+        np.zeros_like(u),
+        run.outputs + 0.1 * rng.standard_normal(u.shape),
+        u,
+        period=2.0,
+    )
+
+
+def heated_with_a_lie(samples: int, begins: int, ends: int) -> Window:
+    """The same, but the second sensor reads 4 °C too much from sample `begins` on, until `ends`."""
+    right = heated(samples)
+    readings = right.outputs.copy()
+    readings[begins:ends, 1] += 4.0
+    return Window(right.references, readings, right.inputs, period=right.period)

@@ -6,20 +6,10 @@ from pathlib import Path
 
 from tests.support.incubator import LIDS, PERIOD, read_events, read_run
 from twinmatch.plants import Incubator
-from twinmatch.signals import Sample
 from twinmatch.twin import Twin, TwinSettings
 
 ENDS = 960
 """Samples of the recording: the lid is opened and closed once, and a quarter of an hour follows."""
-
-
-def incubator_samples(folder: Path) -> list[Sample]:
-    window = read_run(folder, LIDS)
-    rows = zip(window.output, window.input, window.disturbances, strict=True)
-    return [
-        Sample(k, round(k * PERIOD * 1e9), float(y), float(y), float(u), tuple(d))
-        for k, (y, u, d) in enumerate(rows)
-    ]
 
 
 def test_a_lid_that_was_open_for_minutes_costs_no_trust(incubator_folder: Path) -> None:
@@ -28,7 +18,7 @@ def test_a_lid_that_was_open_for_minutes_costs_no_trust(incubator_folder: Path) 
     opened, closed = read_events(incubator_folder, LIDS)[:2] / PERIOD
     twin = Twin(TwinSettings.of(Incubator, law=None, period=PERIOD))
     verdicts = []
-    for sample in incubator_samples(incubator_folder)[:ENDS]:
+    for sample in read_run(incubator_folder, LIDS).samples(0)[:ENDS]:
         verdicts += twin.push(sample).verdicts
     before = [verdict for verdict in verdicts if verdict.sample < opened][-1]
     meanwhile = [v for v in verdicts if v.fault]

@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.bank.kits import typical
 from tests.support.documented_trust import check_trust, documents_of_verdicts
-from tests.support.exchanging import Heaters
+from tests.support.exchanging import Heaters, heated_with_a_lie
 from tests.support.laws import kit_session
 from twinmatch.comparing import Verdict
 from twinmatch.comparing.matrix_gap import matrix_nu_gap
@@ -26,7 +26,6 @@ from twinmatch.dynamics import (
     linearised,
     readings,
     simulate_closed_loop,
-    simulate_driven,
 )
 from twinmatch.offline.judging import terms_from_files
 from twinmatch.plants import TCLabBoth
@@ -121,19 +120,10 @@ def test_trusted_horizons_of_several_outputs_pass_the_documented_test(
     check_trust(documents_of_verdicts(in_loop), outputs=("first", "second"))
 
 
-def driven_with_a_lie(first: int, last: int) -> list[Sample]:
-    """Both heaters driven at random levels; the second sensor reads 4 °C too much from `first` to `last`."""
-    rng = np.random.default_rng(5)
-    u = np.repeat(rng.uniform(0.0, 60.0, (24, 2)), 50, axis=0)
-    run = simulate_driven(TRUTH, u, states=begin(TRUTH, [23.0, 23.0]), period=2.0)
-    y = run.outputs + 0.1 * rng.standard_normal(u.shape)
-    y[first : last + 1, 1] += 4.0
-    return Window(np.zeros_like(u), y, u, period=2.0).samples(0)
-
-
 def test_samples_of_a_sensor_that_lies_are_not_matched() -> None:
     settings = TwinSettings.of(Heaters, law=None, period=2.0)
-    verdicts = verdicts_of(settings, driven_with_a_lie(700, 999))
+    samples = heated_with_a_lie(1200, 700, 1000).samples(0)
+    verdicts = verdicts_of(settings, samples)
     matched = [verdict for verdict in verdicts if verdict.match]
     (while_on,) = [v for v in matched if 700 <= v.sample < 1000]
     afterwards = matched[-1]

@@ -166,7 +166,7 @@ class ChannelMonitor:
         return any(alarm.excuses_between(first, last) for alarm in self._alarms)
 
     def lie_between(self, first: int, last: int) -> Lie | None:
-        """What a sensor is known to have lied between two samples, both included.
+        """The lie of a sensor that is known between two samples, both included; None without one.
 
         An alarm ends when another begins, a lie does not.
         """

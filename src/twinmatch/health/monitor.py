@@ -147,7 +147,7 @@ class Monitor:
         return any(alarm.excuses_between(first, last) for alarm in self._alarms)
 
     def lie_between(self, first: int, last: int) -> Lie | None:
-        """What the sensor is known to have lied between two samples, both included."""
+        """The lie of the sensor that is known between two samples, both included; None without one."""
         lies = [
             Lie(alarm.signal, alarm.first, alarm.last)
             for alarm in self._alarms

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.exchanging import Heaters
+from tests.support.exchanging import Heaters, heated, heated_with_a_lie
 from tests.support.processes import run_twinmatch
 from tests.support.recorded_kits import kit_rows
 from twinmatch.dynamics import begin, simulate_driven
@@ -24,19 +24,6 @@ from twinmatch.twin import TwinSettings
 
 MATCHED = 600
 """From this sample on the heaters' parameters have been matched."""
-TRUTH = Heaters.model().parameters()
-
-
-def heated(samples: int = 900) -> Window:
-    rng = np.random.default_rng(5)
-    u = np.repeat(rng.uniform(0.0, 60.0, (samples // 50, 2)), 50, axis=0)
-    run = simulate_driven(TRUTH, u, states=begin(TRUTH, [23.0, 23.0]), period=2.0)
-    return Window(
-        np.zeros_like(u),
-        run.outputs + 0.1 * rng.standard_normal(u.shape),
-        u,
-        period=2.0,
-    )
 
 
 def session(window: Window, plant: str) -> Session:
@@ -56,10 +43,7 @@ def ends(tested: Backtest, forecaster: str, horizon: float) -> dict[int, float]:
 
 def test_forecasts_of_readings_that_lie_count_neither_for_nor_against_a_twin() -> None:
     """From sample 700 on the second sensor reads 4 °C too much; both outputs are forecast from its readings."""
-    right = heated(750)
-    readings = right.outputs.copy()
-    readings[700:, 1] += 4.0
-    lying = Window(right.references, readings, right.inputs, period=right.period)
+    lying = heated_with_a_lie(750, 700, 750)
     terms = Terms(TwinSettings.of(Heaters, law=None, period=2.0))
     choices = Choices(every=20.0, horizons=(20.0, 100.0))
     tests = backtest(session(lying, Heaters.name), terms, choices)
@@ -78,7 +62,7 @@ def test_a_known_plant_is_forecast_to_its_noise() -> None:
     """What is left of white readings of a plant that is known: their noise."""
     terms = Terms(TwinSettings.of(Heaters, law=None, period=2.0))
     choices = Choices(every=20.0, horizons=(20.0, 100.0))
-    first, second = backtest(session(heated(), Heaters.name), terms, choices)
+    first, second = backtest(session(heated(900), Heaters.name), terms, choices)
     assert [tested.name for tested in (first, second)] == ["two, first", "two, second"]
     assert [list(tested.plant.drives) for tested in (first, second)] == [
         ["first_power"],
