@@ -581,6 +581,7 @@ def test_the_thermal_image_is_shown(graph: Graph, browser: Any) -> None:
         return "Thermal image / °C" in browser.text
 
     browser.wait_for(shown, "the image")
+    # at once: the card is not shown before its image is there
     largest = browser.run(
         "return Bokeh.documents[0].get_model_by_name('thermal').renderers[0].data_source.data.image[0]"
         ".reduce((a, b) => Math.max(a, b))"

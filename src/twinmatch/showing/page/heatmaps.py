@@ -227,7 +227,6 @@ class ThermalImage:
 
     def update(self, image: NDArray[np.float32]) -> None:
         """Show an image in °C, first row on top."""
-        self.root.visible = True
         rows, columns = image.shape
         low = float(np.nanmin(image))
         high = float(np.nanmax(image))
@@ -241,6 +240,8 @@ class ThermalImage:
             "dw": [columns],
             "dh": [rows],
         }
+        # last, as each change is a message of its own: an empty card would be seen
+        self.root.visible = True
 
     def _draw(self) -> Any:
         axes = {"match_aspect": True, "x_axis_type": None, "y_axis_type": None}
