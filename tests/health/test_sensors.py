@@ -44,7 +44,7 @@ def sensor_that_stands(*runs: int) -> LearnedSensor:
         value += 0.3
         for _ in range(length):
             sensor.read(value, True)
-            sensor.learn(value, True, math.log(0.5))
+            sensor.learn(value, True, math.log(0.5), value)
     return sensor
 
 
@@ -60,21 +60,30 @@ def test_a_run_of_a_frozen_sensor_is_not_how_it_usually_reads() -> None:
     sensor.is_accused = True
     for value in (50.0, 51.0, 51.0):
         sensor.read(value, True)
-        sensor.learn(value, True, math.log(0.5))
+        sensor.learn(value, True, math.log(0.5), value)
     assert sensor.run_lengths.continues(300) == 0.0
 
 
-def test_only_a_movement_that_stays_is_a_jump() -> None:
-    outlier = sensor_that_stands(*[1] * 50)
-    stays = sensor_that_stands(*[1] * 50)
-    for value in (45.0, 35.3, 35.6):
-        outlier.read(value, True)
-        outlier.learn(value, True, math.log(0.5))
-    for value in (45.0, 45.3, 45.6):
-        stays.read(value, True)
-        stays.learn(value, True, math.log(0.5))
-    assert outlier.jump.size == 0.0
-    assert (stays.jump.age, stays.jump.size) == (2, pytest.approx(10.0))
+@pytest.mark.parametrize(
+    ("readings", "expected", "jumps"),
+    [
+        ((45.0, 45.3, 45.6), 35.0, True),
+        ((45.0, 35.3, 35.6), 35.0, False),  # an outlier
+        ((45.0, 53.0, 60.0), 35.0, False),  # it goes on: the plant moves
+        ((45.0, 45.3, 45.6), 39.0, False),  # the equations expected a good part of it
+        ((45.0, 45.3, 45.6), 29.0, True),  # they expected the contrary
+    ],
+)
+def test_only_a_movement_that_stays_and_that_nobody_expected_is_a_jump(
+    readings: tuple[float, ...], expected: float, jumps: bool
+) -> None:
+    sensor = sensor_that_stands(*[1] * 50)  # up to 35
+    for value, due in zip(readings, (expected, *readings[1:]), strict=True):
+        sensor.read(value, True)
+        sensor.learn(value, True, math.log(0.5), due)
+    assert sensor.jump.stays is jumps
+    if jumps:
+        assert (sensor.jump.age, sensor.jump.size) == (2, pytest.approx(10.0))
 
 
 def forecast(error: float, standing: float, ahead: int = 3) -> ScoredForecast:

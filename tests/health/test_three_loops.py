@@ -131,3 +131,19 @@ def test_something_unknown_that_leads_alone_is_reported(
     assert alarm.reason.startswith(
         "the plant behaves as if something that acts as heater 2 does had begun"
     )
+
+
+def test_zones_that_heat_up_at_once_within_samples_are_no_sensors_that_jumped() -> None:
+    """Of a recording with few samples in a time constant, with another gain than the file says."""
+    monitor = ChannelMonitor(Zones.model().typical(), 10.0)
+    noise = np.random.default_rng(3)
+    states = np.full(3, 20.0)
+    for k in range(120):
+        commands = np.full(3, 10.0 if k % 40 < 20 else 90.0)
+        read = states + noise.normal(0.0, 0.4, 3)
+        monitor.push(
+            Sample(k, k * 10**10, tuple(read), tuple(read), tuple(commands.tolist()))
+        )
+        warmed = 1.8 * (commands + 0.25 * np.array([0.0, commands[0], commands[1]]))
+        states += (20.0 + warmed - states) * -np.expm1(-10.0 / LAG)
+    assert monitor.alarms == ()

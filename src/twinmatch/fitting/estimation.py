@@ -19,6 +19,8 @@ _MAX_EVALUATIONS = 100
 _ROUNDING = 1e-13
 """Share of the largest eigenvalue below which another is rounding: each entry of the information is a sum
 over hundreds of samples, accurate to a relative 1e-14. The condition number is then 3e6."""
+_PARTAKES: Final = 0.3
+"""Component of a direction from which a parameter counts as part of it: less is a tenth of its length, squared."""
 _FAR: Final = 10.0
 """Factor between a value and its typical size from which the size says nothing of it."""
 QUANTILE: Final = 3.841458820694124
@@ -141,6 +143,13 @@ class Uncertainty:
         return _uncertainty_of(
             self.fisher[block], self.scores[block], self.scales[list(places)]
         )
+
+    def confused(self, most: float) -> list[int]:
+        """Places of the parameters that hardly show apart: what they share shows over `most` times less than
+        what shows most, both in units of the scales."""
+        hardly_shows = self.eigenvalues * most**2 < self.eigenvalues[-1]
+        shares = np.abs(self.directions[:, hardly_shows]).max(axis=1, initial=0.0)
+        return np.flatnonzero(shares > _PARTAKES).tolist()
 
     def condition_of(self, places: Sequence[int]) -> float:
         """Condition number of the scaled Jacobian for the parameters at these places, while all are fitted: that of

@@ -193,16 +193,16 @@ def why_not_moved(window: Window, plant: type[Plant], least: FloatArray) -> str:
     )
     nearest = int(np.argmax(expected / least))
     unit = [*plant.outputs.values()][nearest].unit
-    by_input = f"{input_name} moved by {_amount(swings[furthest], drive.unit)}"
-    by_defaults = f"which by the defaults of the plant file moves the output by {_amount(expected[nearest], unit)}"
-    sentence = f"{by_input}, {by_defaults}, less than the {_amount(least[nearest], unit)} that count"
+    by_input = f"{input_name} moved by {amount(swings[furthest], drive.unit)}"
+    by_defaults = f"which by the defaults of the plant file moves the output by {amount(expected[nearest], unit)}"
+    sentence = f"{by_input}, {by_defaults}, less than the {amount(least[nearest], unit)} that count"
     range_of_output = float(np.ptp(window.outputs[:, nearest]))
     if range_of_output < least[nearest]:
         return sentence
-    moved = _amount(range_of_output, unit)
+    moved = amount(range_of_output, unit)
     return f"{sentence}; the output moved by {moved}, but the samples do not show that the input caused it"
 
 
-def _amount(value: float, unit: str) -> str:
+def amount(value: float, unit: str) -> str:
     """A number with its unit, if it has one."""
     return f"{value:.3g}" if unit in {"", "1"} else f"{value:.3g} {unit}"

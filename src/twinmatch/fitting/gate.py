@@ -112,6 +112,10 @@ class FitEvidence:
     """The parameter kept because the window does not determine it, with value and interval; or empty."""
     most: float = GateLimits.chi2
     """The largest `chi2` that explains the window."""
+    confused: tuple[str, ...] = ()
+    """Free parameters that hardly show apart."""
+    still: str = ""
+    """Which inputs stood still all the time, in words."""
 
 
 def first_excited(moved: FloatArray, least: float) -> int | None:
@@ -140,13 +144,7 @@ def judge(evidence: FitEvidence, limits: GateLimits) -> tuple[Status, str]:
         )
     if evidence.bounds_hit:
         return Status.BOUNDS_HIT, _bounds_sentence(evidence)
-    loose = undetermined(
-        evidence.free,
-        evidence.values,
-        evidence.standard_errors,
-        evidence.condition,
-        limits,
-    )
+    loose = _loose_sentence(evidence, limits)
     if loose:
         return Status.NOT_IDENTIFIABLE, loose
     if not evidence.held_back_chi2 <= limits.slack * evidence.incumbent_chi2:
@@ -172,19 +170,27 @@ def _bounds_sentence(evidence: FitEvidence) -> str:
     )
 
 
+def _loose_sentence(evidence: FitEvidence, limits: GateLimits) -> str | None:
+    """A sentence on a parameter or a combination that is not determined; None if all are."""
+    if evidence.condition <= limits.condition:
+        return undetermined(
+            evidence.free, evidence.values, evidence.standard_errors, limits
+        )
+    which = ", ".join(evidence.confused) or "the free parameters"
+    reason = (
+        f"the condition number {evidence.condition:.3g} is above {limits.condition:g}: "
+        f"some combination of {which} hardly shows in this window"
+    )
+    return f"{reason}; {evidence.still}" if evidence.still else reason
+
+
 def undetermined(
     free: Sequence[Unknown],
     values: FloatArray,
     standard_errors: FloatArray,
-    condition: float,
     limits: GateLimits,
 ) -> str | None:
-    """A sentence on a parameter or combination that is not determined; None if all are."""
-    if not condition <= limits.condition:
-        return (
-            f"the condition number {condition:.3g} is above {limits.condition:g}: "
-            "some combination of the free parameters hardly shows in this window"
-        )
+    """A sentence on a parameter that is not determined; None if all are."""
     for unknown, value, error in zip(
         free, values.tolist(), standard_errors.tolist(), strict=True
     ):

@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar, Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.dynamics import FROM_PLANT_FILE, Law, LoopLaw, Parameters
+from twinmatch.dynamics import FROM_PLANT_FILE, Law, LoopLaw, Parameters, Plant
 from twinmatch.dynamics.movement import effect_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting.approximation import started_chains
@@ -22,7 +22,11 @@ from twinmatch.fitting.estimation import (
     solve,
     starts_for,
 )
-from twinmatch.fitting.excitation import movement_by_inputs, why_not_moved
+from twinmatch.fitting.excitation import (
+    amount,
+    movement_by_inputs,
+    why_not_moved,
+)
 from twinmatch.fitting.gate import (
     FitEvidence,
     GateLimits,
@@ -377,8 +381,9 @@ def _with_fit(
 
     def stands(of_all: Uncertainty, values: FloatArray) -> bool:
         errors = np.sqrt(np.diag(of_all.covariance))
-        condition = _condition(problem, problem.names, of_all)
-        loose = undetermined(problem.unknowns, values, errors, condition, limits)
+        if not _condition(problem, problem.names, of_all) <= limits.condition:
+            return False
+        loose = undetermined(problem.unknowns, values, errors, limits)
         return not loose and not on_bounds(problem, values)
 
     identified = (
@@ -410,6 +415,10 @@ def _with_fit(
         incumbent_chi2=problem.mean_square(standing),
         kept=_kept_sentence(problem, identified),
         most=most,
+        confused=tuple(
+            problem.names[free[i]] for i in identified.others.confused(limits.condition)
+        ),
+        still=_still(window, problem.base.model.plant),
     )
     status, reason = judge(evidence, limits)
     return Match(
@@ -443,6 +452,21 @@ def _condition(problem: Problem, names: Sequence[str], known: Uncertainty) -> fl
     """
     chains = started_chains(problem)
     return known.condition_of([i for i, name in enumerate(names) if name not in chains])
+
+
+def _still(window: Window, plant: type[Plant]) -> str:
+    """Which inputs stood still all the time, in words; empty if none did."""
+    stood = [
+        f"{name} stood at {amount(level, drive.unit)}"
+        for (name, drive), level, moved in zip(
+            plant.drives.items(),
+            window.inputs[0].tolist(),
+            np.ptp(window.inputs, axis=0).tolist(),
+            strict=True,
+        )
+        if moved == 0.0
+    ]
+    return " and ".join(stood)
 
 
 def _kept_sentence(problem: Problem, found: Identified) -> str:

@@ -222,8 +222,11 @@ class Competition:
         )
         healthy.score_forecasts(self.count, values, counts, variance, reach)
         gained = healthy.members.gained[healthy.best].tolist()
-        for (sensor, value, it_counts), nats in zip(readings, gained, strict=True):
-            sensor.learn(value, it_counts, nats)
+        expected = healthy.members.expected[healthy.best].tolist()
+        for (sensor, value, it_counts), nats, due in zip(
+            readings, gained, expected, strict=True
+        ):
+            sensor.learn(value, it_counts, nats, due)
         self.count += 1
         healthy.known += 1
 
@@ -393,7 +396,7 @@ class Competition:
         newest = {
             output: sensor.jump
             for output, sensor in enumerate(self.sensors)
-            if sensor.jump.size
+            if sensor.jump.stays
         }
         if not any(jump.age == age for jump in newest.values()):
             return []

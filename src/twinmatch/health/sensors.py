@@ -18,6 +18,10 @@ _LEAST: Final = 8.0
 """Times its noise that a jump has at least: an offset is reported from there on."""
 _TAKEN_BACK: Final = 3
 """Samples within which an outlier is taken back."""
+_EXPECTED: Final = 1.0 / 3.0
+"""Share of a movement from which on the equations expected it, even if they know the drive's effect badly."""
+_MOVES_ON: Final = 0.5
+"""Share of a movement from which on a reading moves on behind it, as one that follows its plant does."""
 _MOVES: Final = 20
 """Movements of a reading after which its last digit is known."""
 
@@ -29,6 +33,13 @@ class Jump(NamedTuple):
     """Samples since."""
     size: float
     """By how much it moved, in its unit; 0: nothing has jumped."""
+    since: float = 0.0
+    """By how much it has moved since then, in its unit."""
+
+    @property
+    def stays(self) -> bool:
+        """Whether it is where it jumped to."""
+        return self.size != 0.0 and abs(self.since) < _MOVES_ON * abs(self.size)
 
 
 class RunLengths:
@@ -145,8 +156,10 @@ class LearnedSensor:
         )
         return math.log((1.0 - self.pause) * likelihood + junk)
 
-    def learn(self, value: float, counts: bool, gained: float) -> None:
-        """Learn of this reading, whose log-probability was `gained`."""
+    def learn(
+        self, value: float, counts: bool, gained: float, expected: float
+    ) -> None:
+        """Learn of this reading, whose log-probability was `gained`; the equations expected another one."""
         if self.repeated:
             usually = self.run_lengths.continues(self.repeats)
             healthy = max(gained, math.log(usually)) if usually > 0.0 else gained
@@ -160,7 +173,8 @@ class LearnedSensor:
             self.frozen = 0.0
         earlier = self._earlier
         before = self._before
-        self._follow_jump(value, before, counts)
+        if counts and not math.isnan(before):
+            self._follow_jump(value - before, expected - before)
         self._earlier = before
         self._before = value if counts else math.nan
         if not counts or math.isnan(before):
@@ -180,20 +194,19 @@ class LearnedSensor:
             self._roughness.take(abs(value - 2.0 * before + earlier))
         self.noise = self._roughness.noise
 
-    def _follow_jump(self, value: float, before: float, counts: bool) -> None:
-        """Note a movement that is far from the usual ones; one that is taken back at once was an outlier."""
-        if not counts or math.isnan(before):
-            return
-        moved = value - before
-        self.jump = Jump(self.jump.age + 1, self.jump.size)
+    def _follow_jump(self, moved: float, expected: float) -> None:
+        """Note a movement that is far from the usual ones, and from the expected one.
+
+        One that is taken back at once was an outlier.
+        """
+        age, size, since = self.jump
+        self.jump = Jump(age + 1, size, since + moved)
         is_far = abs(moved) > max(
             _FAR * self._walk, _LEAST * self.noise, _LEAST * self._usual
         )
-        if not is_far:
+        if not is_far or expected * moved >= _EXPECTED * moved**2:
             return
-        is_taken_back = self.jump.age <= _TAKEN_BACK and abs(
-            moved + self.jump.size
-        ) < 0.5 * abs(self.jump.size)
+        is_taken_back = age < _TAKEN_BACK and abs(moved + size) < 0.5 * abs(size)
         self.jump = Jump(0, 0.0 if is_taken_back else moved)
 
 
