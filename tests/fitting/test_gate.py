@@ -83,6 +83,15 @@ FLAWS = {
         ),
         ({"condition": float("inf")}, Status.NOT_IDENTIFIABLE, "condition number inf"),
         (
+            {
+                "condition": 5e3,
+                "confused": ("seebeck", "conductance"),
+                "still": "power stood at 5 %",
+            },
+            Status.NOT_IDENTIFIABLE,
+            "combination of seebeck, conductance hardly shows in this window; power stood at 5 %",
+        ),
+        (
             {"standard_errors": np.array([0.005, 0.4, 2.0])},
             Status.NOT_IDENTIFIABLE,
             "conductance is 0.6 ± 0.4: this window does not determine it",

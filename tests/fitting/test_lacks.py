@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 import textwrap
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 from tests.support.plants import Lag
 from tests.support.rooms import PERIOD, SETTINGS, Room, judged_room, recorded_room
 from twinmatch.adding.data import compare_structures
-from twinmatch.dynamics import Parameters
+from twinmatch.dynamics import Equations, Parameters
 from twinmatch.fitting import fit_structure
 from twinmatch.fitting.lacks import lack_of
 from twinmatch.plants import find_plant
@@ -98,3 +99,25 @@ def test_the_lines_import_what_they_use() -> None:
         used = {name for name in names if re.search(rf"\b{name}\(", text)}
         assert used == set(re.findall(r"\w+", imported)), what
     assert any("replace" in "".join(lines) for lines in lines_of.values())
+
+
+class NamedOutput(Lag, name="named_output"):
+    """The same plant, whose file names its only output, as one of several loops does."""
+
+    def equations(self, parts: frozenset[str]) -> Equations:
+        """Those of a lag."""
+        plain = super().equations(parts)
+        return replace(plain, output={self.y: plain.output})
+
+
+def test_an_output_may_be_named_or_not() -> None:
+    """Each effect is put into both files, and the equations are derived."""
+    states: dict[str, list[list[str]]] = {}
+    for plant in (Lag, NamedOutput):
+        of_plant: list[list[str]] = states.setdefault(plant.name, [])
+
+        def derive(start: Parameters, into: list[list[str]] = of_plant) -> None:
+            into.append([*start.model.states])
+
+        lack_of(plant.model().parameters(), 1.0, 100.0, 100.0, derive)
+    assert states["named_output"] == states["lag"] != []

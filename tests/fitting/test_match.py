@@ -491,6 +491,47 @@ def test_an_input_that_stands_still_excites_nothing() -> None:
     assert a_match.reason == f"the input did not move {far}"
 
 
+class Blended(Plant, name="blended"):
+    """A lag with two inputs and an unknown rest."""
+
+    y = Output(unit="m", noise=0.01, span=(-100.0, 100.0))
+    u = Drive(unit="V", limits=(-10.0, 10.0), noise=0.1)
+    v = Drive(unit="V", limits=(-10.0, 10.0), noise=0.1)
+    x = State(unit="m", span=(-50.0, 50.0))
+    lag = Parameter(unit="s", default=5.0, bounds=(0.5, 50.0), positive=True)
+    by_u = Parameter(unit="m/V", default=2.0, bounds=(0.1, 10.0), positive=True)
+    by_v = Parameter(unit="m/V", default=2.0, bounds=(0.1, 10.0), positive=True)
+    rest = Parameter(unit="m", default=0.0, bounds=(-9.0, 9.0), scale=1.0)
+    structures = {  # noqa: RUF012
+        "lag": Structure(free=("lag", "by_u", "by_v", "rest"))
+    }
+
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+        """One line."""
+        driven_by = self.by_u * self.u + self.by_v * self.v
+        level = self.rest + driven_by
+        return Equations(
+            rates={self.x: (level - self.x) / self.lag},
+            output=self.x,
+            start={self.x: self.y},
+        )
+
+
+def test_the_gain_of_an_input_that_stood_still_is_kept_and_hides_nothing_else() -> None:
+    """Its effect and the rest show only together: that one is kept, and this one takes the difference."""
+    by_one = driven()
+    inputs = np.column_stack([by_one.input, np.ones(len(by_one))])
+    window = replace(by_one, outputs=by_one.outputs + 3.0, inputs=inputs)
+    a_match = match(window, start=Blended.model().parameters())
+    assert a_match.status is Status.ACCEPTED
+    assert "not determined and kept: by_v at 2 (possible:" in a_match.reason
+    assert a_match.believed == ("lag", "by_u")
+    alone = match(by_one, start=LAG.parameters())
+    for name, of_lag in (("lag", "lag"), ("by_u", "gain")):
+        assert a_match.parameters[name] == pytest.approx(alone.parameters[of_lag], 1e-2)
+    assert a_match.parameters["rest"] == pytest.approx(1.0, abs=0.01)
+
+
 def test_names_of_another_plant_are_refused() -> None:
     with pytest.raises(FittingError, match="'seebeck' cannot be free in Lag, lag"):
         match(driven(), start=LAG.parameters(), free=["seebeck"])

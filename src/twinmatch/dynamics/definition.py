@@ -47,6 +47,10 @@ class Equations:
     quantities: Mapping[str, Expression] = field(default_factory=dict)
     """Other quantities of interest, by name: currents, heat flows."""
 
+    def expression_of(self, output: Expression) -> Expression:
+        """What an output measures, however `output` is written; it has to be the only one, or to be in it."""
+        return self.output[output] if isinstance(self.output, Mapping) else self.output
+
     def driven(self, drive: Expression, by: Expression) -> Equations:
         """These equations with `by` in place of a drive in the rates, such as what is left of it."""
         import sympy  # noqa: PLC0415

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,8 @@ _ROUNDING = 1e-13
 over hundreds of samples, accurate to a relative 1e-14. The condition number is then 3e6."""
 _PARTAKES: Final = 0.3
 """Component of a direction from which a parameter counts as part of it: less is a tenth of its length, squared."""
+_CONCERNED: Final = 1e-3
+"""Share of a parameter in combinations without effect from which on it takes part: rounding gives less."""
 _FAR: Final = 10.0
 """Factor between a value and its typical size from which the size says nothing of it."""
 QUANTILE: Final = 3.841458820694124
@@ -105,6 +107,34 @@ def on_bounds(problem: Problem, values: FloatArray) -> tuple[str, ...]:
     return ended_on_bounds(problem.unknowns, values)
 
 
+class Hidden(NamedTuple):
+    """Combinations of parameters that have no effect at all: of a gain and a rest, if the input stood still."""
+
+    held: list[int]
+    """Places of parameters, one for each combination: once these are known, nothing is hidden."""
+    concerned: list[int]
+    """Places of all that take part: each may have any value."""
+
+
+def _hidden(
+    eigenvalues: FloatArray, directions: FloatArray, first: Sequence[int] = ()
+) -> Hidden:
+    """What the eigenvectors, as columns, of the information in units of the scales say of it."""
+    has_no_effect = ~(eigenvalues > _ROUNDING * eigenvalues[-1])
+    combinations = directions[:, has_no_effect]
+    concerned = np.linalg.norm(combinations, axis=1) > _CONCERNED
+    held: list[int] = []
+    while combinations.shape[1]:
+        one = combinations[:, 0]
+        shares = np.abs(one)
+        preferred = [i for i in first if shares[i] > _CONCERNED]
+        place = max(preferred or range(one.size), key=lambda i: float(shares[i]))
+        held.append(place)
+        others = combinations[:, 1:]
+        combinations = others - np.outer(one, others[place] / one[place])
+    return Hidden(held, np.flatnonzero(concerned).tolist())
+
+
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
     """Information of the window about the free parameters."""
@@ -126,16 +156,24 @@ class Uncertainty:
 
     @property
     def covariance_of_shown(self) -> FloatArray:
-        """Covariance of the parameters, shape (n, n), if those without any effect have the values they have.
+        """Covariance of the parameters, shape (n, n); infinite only for those whose values nothing tells.
 
-        Infinite for these. A parameter that the window does not show hides nothing of the others.
+        What has no effect hides nothing of the others.
         """
-        places = shown(self.fisher)
-        if not places or len(places) == self.scales.size:
+        if math.isfinite(self.condition):
             return self.covariance
+        hidden = self.hidden()
+        places = [i for i in range(self.scales.size) if i not in hidden.held]
         covariance = np.full_like(self.fisher, np.inf)
-        covariance[np.ix_(places, places)] = self.given(places).covariance
+        if places:
+            covariance[np.ix_(places, places)] = self.given(places).covariance
+        covariance[hidden.concerned, :] = np.inf
+        covariance[:, hidden.concerned] = np.inf
         return covariance
+
+    def hidden(self, first: Sequence[int] = ()) -> Hidden:
+        """What has no effect at all; parameters at the places `first` are held before others."""
+        return _hidden(self.eigenvalues, self.directions, first)
 
     def given(self, places: Sequence[int]) -> Uncertainty:
         """The uncertainty of the parameters at these places if the others are known."""
@@ -256,20 +294,13 @@ def profile_intervals(
 
 def _variances_by_white_noise(fisher: FloatArray, scales: FloatArray) -> FloatArray:
     """Variances of the parameters if the residuals were white, shape (n,); NaN where nothing shows."""
-    variances = np.full(scales.size, np.nan)
-    places = shown(fisher)
     scaled = fisher * np.outer(scales, scales)
-    try:
-        inverse = np.linalg.inv(scaled[np.ix_(places, places)])
-    except np.linalg.LinAlgError:
-        return variances
+    hidden = _hidden(*np.linalg.eigh(scaled))
+    places = [i for i in range(scales.size) if i not in hidden.held]
+    variances = np.full(scales.size, np.nan)
+    inverse = np.linalg.inv(scaled[np.ix_(places, places)])
     variances[places] = np.diag(inverse) * np.square(scales[places])
     return variances
-
-
-def shown(fisher: FloatArray) -> list[int]:
-    """Places of the parameters that have any effect on the window."""
-    return np.flatnonzero(np.diag(fisher) > 0.0).tolist()
 
 
 def profile_end(

@@ -3,7 +3,8 @@
 A parameter is believed if the data alone bound its interval on both sides, to a factor of two or less. A
 parameter that is not believed is not necessarily wrong: the twin may predict well along the whole interval.
 So a fit that leaves one parameter open, down to zero, may still be used, with that parameter kept as near to
-its previous value as the interval allows and the others fitted again.
+its previous value as the interval allows and the others fitted again. Where combinations have no effect at all,
+as those of the gain of an input that stood still and of a rest, one parameter of each is kept so.
 """
 
 from __future__ import annotations
@@ -162,15 +163,15 @@ def _scaled_inverse(problem: Problem, fisher: FloatArray) -> FloatArray | None:
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """An estimate, possibly with one parameter kept, and its uncertainty."""
+    """An estimate, possibly with parameters kept, and its uncertainty."""
 
     estimate: Estimate
     known: Uncertainty
     """Uncertainty of all free parameters."""
     others: Uncertainty
-    """Uncertainty of the others if the kept one is known."""
-    kept: str = ""
-    """Name of the kept parameter, or empty."""
+    """Uncertainty of the others if the kept ones are known."""
+    kept: tuple[str, ...] = ()
+    """Names of the kept parameters."""
     intervals: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     believed: tuple[str, ...] = ()
     determined: str = ""
@@ -194,8 +195,8 @@ def identify(
     """Find the parameters that the window determines.
 
     If a fit is not acceptable as it is (`stands`, called with its uncertainty and values), its least
-    determined parameter is kept at its previous value, unless a parameter ended on a bound other than zero:
-    such a fit is refused anyway.
+    determined parameter is kept at its previous value, or one parameter of each combination without any
+    effect, unless a parameter ended on a bound other than zero: such a fit is refused anyway.
     """
     of_all = uncertainty(problem, found)
     intervals = profile_intervals(problem, found.values, of_all.covariance_of_shown)
@@ -206,15 +207,13 @@ def identify(
         n for n, width in zip(problem.names, widths, strict=True) if width <= 1.0
     )
     final = found
-    fixed = ""
+    kept: list[int] = []
     if not stands(of_all, found.values):
-        fixed = _to_keep(problem, found.values, widths)
-    if fixed:
-        interval = intervals[problem.names.index(fixed)]
-        before = standing.get(fixed, problem.base[fixed])
-        final = _keep(problem, found, fixed, interval, before)
+        kept = _to_keep(problem, found.values, widths, of_all)
+    if kept:
+        final = _keep(problem, found, kept, intervals, standing)
         of_all = uncertainty(problem, final)
-    places = [i for i, name in enumerate(problem.names) if name != fixed]
+    places = [i for i in range(len(problem.names)) if i not in kept]
     suggestion = ""
     if len(believed) < len(problem.names):
         least = problem.names[int(np.argmax(widths))]
@@ -223,7 +222,7 @@ def identify(
         estimate=final,
         known=of_all,
         others=of_all.given(places),
-        kept=fixed,
+        kept=tuple(problem.names[i] for i in kept),
         intervals=intervals,
         believed=believed,
         determined=_sentence_on(
@@ -273,16 +272,23 @@ def _sentence_on_shift(
     )
 
 
-def _to_keep(problem: Problem, values: FloatArray, widths: list[float]) -> str:
-    """Name of the parameter with the widest interval, of equals the first; empty if one ended on a bound."""
+def _to_keep(
+    problem: Problem, values: FloatArray, widths: list[float], known: Uncertainty
+) -> list[int]:
+    """Places of the parameters without which nothing is hidden; else of the one with the widest interval, of
+    equals the first; none if one ended on a bound."""
     for name in on_bounds(problem, values):
         if values[problem.names.index(name)] != 0.0:
-            return ""
-    of_parameters = widths[: len(problem.free)]
-    place = int(np.argmax(of_parameters))
-    if of_parameters[place] <= 1.0 or len(widths) == 1:
-        return ""
-    return problem.free[place]
+            return []
+    n_parameters = len(problem.free)
+    place = int(np.argmax(widths[:n_parameters]))
+    if widths[place] <= 1.0 or len(widths) == 1:
+        return []
+    # an offset can take what the value kept of a gain is wrong by
+    gains = [i for i, unknown in enumerate(problem.unknowns) if unknown.relative]
+    held = known.hidden(gains).held
+    of_parameters = all(i < n_parameters for i in held)
+    return sorted(held) if held and of_parameters else [place]
 
 
 def _widths(problem: Problem, intervals: FloatArray) -> list[float]:
@@ -302,21 +308,32 @@ def _widths(problem: Problem, intervals: FloatArray) -> list[float]:
 
 
 def _keep(
-    problem: Problem, found: Estimate, name: str, interval: FloatArray, standing: float
+    problem: Problem,
+    found: Estimate,
+    places: list[int],
+    intervals: FloatArray,
+    standing: Parameters,
 ) -> Estimate:
-    """The fit with one parameter kept as near to its previous value as its interval (low, high) allows."""
-    place = problem.names.index(name)
-    low, high = np.clip(interval, *problem.unknowns[place].bounds)
-    value = float(np.clip(standing, low, high))
+    """The fit with some parameters kept as near to their previous values as their intervals allow."""
+    kept = {}
+    for place in places:
+        name = problem.names[place]
+        low, high = np.clip(intervals[place], *problem.unknowns[place].bounds)
+        kept[name] = float(np.clip(standing.get(name, problem.base[name]), low, high))
     reduced = replace(
         problem,
-        free=tuple(n for n in problem.free if n != name),
-        base=problem.experiment.parameters_at(found.values).replace(**{name: value}),
+        free=tuple(n for n in problem.free if n not in kept),
+        base=problem.experiment.parameters_at(found.values).replace(**kept),
     )
     refit = solve(
-        reduced, [np.delete(found.values, place), *starts_for(reduced, reduced.base)]
+        reduced, [np.delete(found.values, places), *starts_for(reduced, reduced.base)]
     )
-    return Estimate(problem, np.insert(refit.values, place, value), refit.converged)
+    values = found.values.copy()
+    values[places] = [*kept.values()]
+    is_fitted = np.ones(values.size, dtype=np.bool_)
+    is_fitted[places] = False
+    values[is_fitted] = refit.values
+    return Estimate(problem, values, refit.converged)
 
 
 def _sentence_on(
@@ -332,7 +349,7 @@ def _sentence_on(
     determined = []
     undetermined = []
     for name, interval in zip(problem.names, intervals, strict=True):
-        words = f"{name} ({_range(interval)})"
+        words = f"{name} ({possible_values(interval)})"
         if name in believed:
             determined.append(words)
         else:
@@ -367,7 +384,8 @@ def _best_ratio(problem: Problem, values: FloatArray, covariance: FloatArray) ->
     return text
 
 
-def _range(interval: FloatArray) -> str:
+def possible_values(interval: FloatArray) -> str:
+    """An interval, shape (2,), in words."""
     low, high = interval.tolist()
     if math.isnan(low) or (math.isinf(low) and math.isinf(high)):
         return "any value"

@@ -97,7 +97,8 @@ _OF_A_DRIVE: Final = (
 _OF_AN_OUTPUT: Final = _Effect(
     "a second store behind the output {at}",
     f"shown = {_STATE}shown_lag = {_TIME}",
-    "held.rates[self.shown] = (held.output - self.shown) / self.shown_lag\n"
+    "read = held.expression_of(self.{at})\n"
+    "held.rates[self.shown] = (read - self.shown) / self.shown_lag\n"
     "held.start[self.shown] = self.{at}\n"
     "held = replace(held, output=self.shown)\n",
 )

@@ -397,9 +397,9 @@ def _with_fit(
     final = identified.estimate
     of_all = identified.known
     fit = _fit(problem, identified.estimate.residuals)
-    free = [i for i, name in enumerate(problem.names) if name != identified.kept]
+    free = [i for i, name in enumerate(problem.names) if name not in identified.kept]
     bounds_hit = tuple(
-        n for n in on_bounds(problem, final.values) if n != identified.kept
+        n for n in on_bounds(problem, final.values) if n not in identified.kept
     )
     evidence = FitEvidence(
         free=tuple(problem.unknowns[i] for i in free),
@@ -470,11 +470,14 @@ def _still(window: Window, plant: type[Plant]) -> str:
 
 
 def _kept_sentence(problem: Problem, found: Identified) -> str:
-    if not found.kept:
-        return ""
-    place = problem.names.index(found.kept)
-    low, high = found.intervals[place]
-    return f"{found.kept} at {found.estimate.values[place]:.3g} (possible: {low:.2g} to {high:.2g})"
+    """Each kept parameter with its value and interval; empty if none was."""
+    kept = []
+    for name in found.kept:
+        place = problem.names.index(name)
+        low, high = found.intervals[place]
+        value = found.estimate.values[place]
+        kept.append(f"{name} at {value:.3g} (possible: {low:.2g} to {high:.2g})")
+    return ", ".join(kept)
 
 
 def _residuals_of(problem: Problem, seen: Problem, rival: Parameters) -> FloatArray:

@@ -156,9 +156,7 @@ class LearnedSensor:
         )
         return math.log((1.0 - self.pause) * likelihood + junk)
 
-    def learn(
-        self, value: float, counts: bool, gained: float, expected: float
-    ) -> None:
+    def learn(self, value: float, counts: bool, gained: float, expected: float) -> None:
         """Learn of this reading, whose log-probability was `gained`; the equations expected another one."""
         if self.repeated:
             usually = self.run_lengths.continues(self.repeats)
