@@ -16,7 +16,7 @@ from twinmatch.adding.data import compare_structures
 from twinmatch.adding.several import propose_several
 from twinmatch.cli import main
 from twinmatch.dynamics import begin, simulate_driven
-from twinmatch.importing.column_map import columns_of, proposed
+from twinmatch.importing.column_map import columns_of, of_all_loops, proposed
 from twinmatch.importing.table_files import open_table
 from twinmatch.plants import find_plant
 from twinmatch.sampling.sources import SignalMap, parse_map
@@ -169,6 +169,44 @@ def test_of_two_things_the_signals_of_one_are_taken(tmp_path: Path) -> None:
         "input": f"{thing}_pwm",
         "reference": f"{thing}_target",
     }
+
+
+@pytest.mark.parametrize(
+    ("titles", "pairs"),
+    [
+        (
+            ["TIC1.PV (°C)", "TIC1.SP (°C)", "TIC1.OP (%)", "TIC2.PV (°C)", "TIC2.SP (°C)", "TIC2.OP (%)"],
+            ["TIC1.PV (°C)", "TIC1.OP (%)", "TIC2.PV (°C)", "TIC2.OP (%)"],
+        ),
+        (
+            ["Zone1 (°C)", "SP1 (°C)", "OP1 (%)", "Zone2 (°C)", "SP2 (°C)", "OP2 (%)"],
+            ["Zone1 (°C)", "OP1 (%)", "Zone2 (°C)", "OP2 (%)"],
+        ),
+        (
+            ["level_1", "sp_1", "mv_1", "level_2", "sp_2", "mv_2"],
+            ["level_1", "mv_1", "level_2", "mv_2"],
+        ),
+        (  # each input moves both
+            ["Level 1 [cm]", "", "Pump 1 [V]", "Level 2 [cm]", "", "Pump 2 [V]"],
+            ["Level 1 [cm]", "Pump 1 [V]", "Level 2 [cm]", "Pump 2 [V]"],
+        ),
+    ],
+)  # fmt: skip
+def test_loops_of_a_control_system_and_outputs_with_shared_inputs_are_paired(
+    tmp_path: Path, titles: list[str], pairs: list[str]
+) -> None:
+    inputs = [held([20, 60, 40], 600, 100), held([30, 30, 70, 50], 600, 150)]
+    outputs = [lagged(inputs[i] + 0.5 * inputs[1 - i], 20.0, 20.0, i) for i in (0, 1)]
+    columns = {"time (s)": np.arange(600.0)}
+    for loop in (0, 1):
+        signals = (outputs[loop], np.full(600, 50.0), inputs[loop])
+        for title, signal in zip(titles[3 * loop :], signals, strict=False):
+            if title:
+                columns[title] = signal
+    table = open_table(written(tmp_path / "loops.csv", columns))
+    several = of_all_loops(columns_of(table), proposed(columns_of(table), table))
+    signals_of_loops = ("output.1", "input.1", "output.2", "input.2")
+    assert [several[signal].text for signal in signals_of_loops] == pairs
 
 
 def test_of_a_cell_the_current_is_the_input(tmp_path: Path) -> None:

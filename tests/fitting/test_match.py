@@ -226,6 +226,28 @@ def test_an_incumbent_that_is_the_truth_is_hard_to_beat(record: Recorder) -> Non
     )
 
 
+def test_values_of_the_plant_file_that_no_fit_beats_are_the_match(
+    record: Recorder,
+) -> None:
+    """Where nothing stands yet, refusing the fit would leave no twin although a good one is known."""
+    window = record(TRUTH, seed=4)
+    kept = match(window, start=TRUTH, limits=GateLimits(slack=0.9))
+    assert kept.accepted
+    assert kept.reason.startswith("the values of the plant file explain the window")
+    assert [kept.parameters[name] for name in kept.free] == [
+        TRUTH[name] for name in kept.free
+    ]
+    assert kept.chi2 < 1.5
+    assert kept.believed == ()
+    fitted = match(window, start=TRUTH)
+    assert np.sqrt(np.diag(kept.covariance)) == pytest.approx(
+        fitted.standard_errors, rel=0.5
+    )
+    # of a window that they do not explain they are no twin
+    strict = GateLimits(slack=0.9, chi2=0.99 * kept.chi2)
+    assert not match(window, start=TRUTH, limits=strict).accepted
+
+
 def test_an_incumbent_with_a_moving_sink_gets_its_sink_fitted(record: Recorder) -> None:
     window = record(WITH_SINK, seed=4)
     truth = match(

@@ -21,6 +21,7 @@ from twinmatch.importing.bags import is_bag, open_bag
 from twinmatch.importing.column_map import (
     SEEN,
     columns_of,
+    in_words_of_all_loops,
     proposed,
     seen_by_controller,
 )
@@ -196,6 +197,8 @@ def _list(path: Path) -> int:
         print(f"A guess, please check: --map {shlex.join(entries)}")
     if seen_by_controller(columns, sources):
         print(SEEN)
+    if of_all := in_words_of_all_loops(columns, sources):
+        print(of_all)
     if "room" in sources:
         print(
             "room stands for a measured disturbance of your plant; use the names in your plant's file."

@@ -15,7 +15,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.importing.column_map import (
     SEEN,
     columns_of,
-    of_all_loops,
+    in_words_of_all_loops,
     proposed,
     seen_by_controller,
 )
@@ -131,14 +131,8 @@ def _proposal(options: argparse.Namespace) -> Proposal | SeveralProposal:
             print(f"Columns guessed as: --map {words}")
         if seen_by_controller(columns, signal_map.sources):
             print(SEEN)
-        if several := of_all_loops(columns, signal_map.sources):
-            loops = sum(name.startswith("input.") for name in several)
-            words = shlex.join(
-                f"{signal}={source.text}" for signal, source in several.items()
-            )
-            print(
-                f"The table has signals of {loops} loops; for a plant of all of them: --map {words}"
-            )
+        if of_all := in_words_of_all_loops(columns, signal_map.sources):
+            print(of_all)
     table, signal_map = with_derived(table, replace(signal_map, period=period))
     propose_from = propose_several if has_several(signal_map) else propose
     return propose_from(table, signal_map, longest=options.bridge)

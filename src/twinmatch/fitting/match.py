@@ -21,6 +21,7 @@ from twinmatch.fitting.estimation import (
     on_bounds,
     solve,
     starts_for,
+    uncertainty,
 )
 from twinmatch.fitting.excitation import (
     amount,
@@ -232,7 +233,10 @@ def match(
     split, missing = _split(problem, min_step, limits)
     if missing:
         return without_fit(window, problem.names, start, Status.NO_EXCITATION, missing)
-    return _with_fit(problem, split, incumbent or start, limits)
+    found = _with_fit(problem, split, incumbent or start, limits)
+    if incumbent is None and found.status is Status.NOT_BETTER:
+        return _as_they_are(problem, found, limits)
+    return found
 
 
 def explaining(
@@ -441,6 +445,45 @@ def _with_fit(
         believed=identified.believed,
         determined=identified.determined,
         suggestion=identified.suggestion,
+    )
+
+
+def _as_they_are(problem: Problem, found: Match, limits: GateLimits) -> Match:
+    """The match with the start's own values, which forecast better than what was found: they are the better twin.
+
+    What was found, if they do not explain the window.
+    """
+    values = problem.values_of(problem.base)
+    n_free = len(problem.free)
+    if values.size > n_free:
+        states_alone = replace(problem, free=())
+        values[n_free:] = solve(states_alone, [values[n_free:]]).values
+    estimate = Estimate(problem, values, converged=True)
+    if not estimate.chi2 <= limits.most(problem.law):
+        return found
+    known = uncertainty(problem, estimate)
+    reason = (
+        f"the values of the plant file explain the window down to {estimate.chi2:.3g} times the noise variance, "
+        f"and are kept: {found.reason}"
+    )
+    return replace(
+        found,
+        parameters=problem.base,
+        starts=problem.experiment.starts_at(values),
+        covariance=known.covariance,
+        fisher=known.fisher,
+        eigenvalues=known.eigenvalues,
+        condition=known.condition,
+        directions=known.directions,
+        fit=_fit(problem, estimate.residuals),
+        held_back=_NO_FIT,
+        chi2=estimate.chi2,
+        status=Status.ACCEPTED,
+        reason=reason,
+        intervals=np.full((len(problem.names), 2), np.nan),
+        believed=(),
+        determined="",
+        suggestion="",
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -14,7 +15,7 @@ from twinmatch.decoding import decoded
 from twinmatch.errors import TwinmatchError
 from twinmatch.importing.clocks import is_record_number
 from twinmatch.importing.dates import is_two_numbers
-from twinmatch.importing.pairs import moving, share_a_word
+from twinmatch.importing.pairs import moving, share_a_word, shared_words
 from twinmatch.importing.stacked import SeriesTable
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times, read_times
@@ -56,20 +57,22 @@ def read_map(path: Path) -> SignalMap:
 
 
 _REFERENCE: Final = re.compile(
-    r"set.?-?point|\bsp\b|^sp\d*$|^sv\d*$|_sp$|reference|^ref$|^r$|desired|target|"
+    r"set.?-?point|\bsp\b|^sp[_ ]?\d*$|^sv\d*$|_sp$|reference|^ref$|^r$|desired|target|"
     r"^set$|^set[_ ]|[_ ]set$|(?-i:^[Ss]et[A-Z])|sollwert|[_ ]soll$|consigne",
     re.IGNORECASE,
 )
 _OUTPUT: Final = re.compile(
-    r"^t\d*$|(?-i:^[Tt]_?out)|temp|(?-i:^y(?:[A-Z_\d].*)?$)|^y\d*$|speed|level|pressure|output|measur|sensor|^pv$|position|angle|flow|"
-    r"voltage",
+    r"^t\d*$|(?-i:^[Tt]_?out)|temp|(?-i:^y(?:[A-Z_\d].*)?$)|^y\d*$|speed|level|pressure|"
+    r"output|measur|sensor|(?:\b|_)pv[_ ]?\d*$|position|angle|flow|voltage",
     re.IGNORECASE,
 )
 _INPUT: Final = re.compile(
     r"heater|^heat(ing)?([_ ]|$)|[_ ]heat(ing)?$|^cool(ing|er)?([_ ]|$)|[_ ]cool(ing)?$|relay|burner|"
-    r"compressor|\bfan|(?-i:^u(?:[A-Z_\d].*)?$)|^u\d*$|^q\d*$|pwm|duty|volt|current|power|valve|pump|command|\bcmd|input|^mv$|drive|actuat|throttle",
+    r"compressor|\bfan|(?-i:^u(?:[A-Z_\d].*)?$)|^u\d*$|^q\d*$|pwm|duty|volt|current|power|valve|pump|"
+    r"command|\bcmd|input|(?:\b|_)(?:mv|op)[_ ]?\d*$|drive|actuat|throttle",
     re.IGNORECASE,
 )
+"""Names of what is commanded; `MV` and `OP` are those of control systems, as `PV` is of what is measured."""
 _ROOM: Final = re.compile(
     r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE
 )
@@ -405,7 +408,7 @@ def _pair_by_name(columns: Sequence[Column], chosen: dict[str, Column]) -> None:
         return
     for signal in ("input", "reference"):
         column = chosen.get(signal)
-        if column is None or share_a_word(column.short_name, output.short_name):
+        if column is None:
             continue
         of_signal = [
             c
@@ -414,13 +417,13 @@ def _pair_by_name(columns: Sequence[Column], chosen: dict[str, Column]) -> None:
             for c in candidates
         ]
         others = [chosen[name] for name in chosen if name != signal]
-        of_same_thing = [
-            c
-            for c in of_signal
-            if c not in others and share_a_word(c.short_name, output.short_name)
-        ]
-        if of_same_thing:
-            chosen[signal] = of_same_thing[0]
+        free = [column, *(c for c in of_signal if c not in others)]
+        chosen[signal] = _most_alike(output, free)
+
+
+def _most_alike(output: Column, columns: Sequence[Column]) -> Column:
+    """The first of the columns that share most words with an output."""
+    return max(columns, key=lambda c: shared_words(c.short_name, output.short_name))
 
 
 def of_all_loops(
@@ -428,10 +431,48 @@ def of_all_loops(
 ) -> dict[str, SignalSource]:
     """The guess with the further outputs that have an input of the same thing, by name; empty without one.
 
-    `sources` is the guess at one loop.
+    `sources` is the guess at one loop, or at one output with several inputs.
     """
-    if not {"output", "input"} <= sources.keys():
+    of_title = {column.title: column for column in columns}
+    inputs = [
+        of_title[title]
+        for signal, source in sources.items()
+        if signal.partition(".")[0] == "input"
+        for title in source.places
+        if title in of_title
+    ]
+    outputs = [
+        of_title[title]
+        for signal, source in sources.items()
+        if signal == "output"
+        for title in source.places
+        if title in of_title
+    ]
+    if not inputs or len(outputs) != 1:
         return {}
+    further_outputs, further_inputs = _free_signals(columns, sources)
+    if len(inputs) == 1:
+        # one that moves the output needs no name of the same thing
+        first = [(outputs[0], inputs[0])]
+        pairs = [*first, *_paired(further_outputs, further_inputs)]
+    else:
+        pairs = _paired([*outputs, *further_outputs], [*inputs, *further_inputs])
+    if len(pairs) < 2 or outputs[0] not in [output for output, _ in pairs]:
+        return {}
+    pairs.sort(key=lambda pair: columns.index(pair[0]))
+    several = {
+        name: source for name, source in sources.items() if name in ("time", "room")
+    }
+    for number, (output, drive) in enumerate(pairs, 1):
+        several[f"output.{number}"] = SignalSource((output.title,))
+        several[f"input.{number}"] = SignalSource((drive.title,))
+    return several
+
+
+def _free_signals(
+    columns: Sequence[Column], sources: Mapping[str, SignalSource]
+) -> tuple[list[Column], list[Column]]:
+    """The outputs and the inputs among the columns that a guess does not use, by names and units."""
     used = {title for source in sources.values() for title in source.places}
     free = [
         c
@@ -447,30 +488,34 @@ def of_all_loops(
         for c in _named(free, _OUTPUT, ("numbers",))
         if c not in drives and c not in measured
     ]
-    pairs = _paired([*outputs, *measured], drives)
-    if not pairs:
-        return {}
-    several = {
-        name: source for name, source in sources.items() if name in ("time", "room")
-    }
-    several |= {"output.1": sources["output"], "input.1": sources["input"]}
-    for number, (output, drive) in enumerate(pairs, 2):
-        several[f"output.{number}"] = SignalSource((output.title,))
-        several[f"input.{number}"] = SignalSource((drive.title,))
-    return several
+    return [*outputs, *measured], drives
+
+
+def in_words_of_all_loops(
+    columns: Sequence[Column], sources: Mapping[str, SignalSource]
+) -> str:
+    """A sentence with that guess; empty without one."""
+    several = of_all_loops(columns, sources)
+    if not several:
+        return ""
+    loops = sum(name.startswith("input.") for name in several)
+    words = shlex.join(f"{signal}={source.text}" for signal, source in several.items())
+    return f"The table has signals of {loops} loops; for a plant of all of them: --map {words}"
 
 
 def _paired(
     outputs: Sequence[Column], drives: Sequence[Column]
 ) -> list[tuple[Column, Column]]:
-    """Each output with the first drive of the same thing that no other output has."""
+    """Each output with the drive of the same thing that no other output has."""
     pairs: list[tuple[Column, Column]] = []
     for output in outputs:
         taken = [drive for _, drive in pairs]
-        for drive in drives:
-            if drive not in taken and share_a_word(drive.short_name, output.short_name):
-                pairs.append((output, drive))
-                break
+        free = [drive for drive in drives if drive not in taken]
+        if not free:
+            break
+        drive = _most_alike(output, free)
+        if share_a_word(drive.short_name, output.short_name):
+            pairs.append((output, drive))
     return pairs
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
-__all__ = ["moving", "share_a_word", "things_in"]
+__all__ = ["moving", "share_a_word", "shared_words", "things_in"]
 
 
 class _MovingRule(Rule):
@@ -108,9 +108,14 @@ def things_in(name: str) -> frozenset[str]:
     return frozenset(word.lower() for word in _WORDS.findall(name)) - _GENERAL
 
 
+def shared_words(name: str, other: str) -> int:
+    """How many words that may name a thing two names share: both of `TIC1.PV` and `TIC1.OP`, one of `TIC2.OP`."""
+    return len(things_in(name) & things_in(other))
+
+
 def share_a_word(name: str, other: str) -> bool:
     """Whether two names may be of one thing."""
-    return bool(things_in(name) & things_in(other))
+    return shared_words(name, other) > 0
 
 
 def moving(output: FloatArray, inputs: Sequence[FloatArray]) -> list[bool]:
