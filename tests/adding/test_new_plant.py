@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import runpy
 import sys
 from dataclasses import replace
@@ -512,6 +513,32 @@ def test_a_dead_time_before_a_switch_is_written_so_that_its_corners_are_followed
     assert fitted.parameters["dead_time"] == pytest.approx(40.0, abs=0.5)
     assert fitted.parameters["gain"] == pytest.approx(60.0, rel=0.01)
     assert fitted.parameters["lag"] == pytest.approx(400.0, rel=0.01)
+
+
+def test_of_an_angle_that_moves_on_the_rows_are_kept_and_that_is_said(
+    tmp_path: Path,
+) -> None:
+    """The lag of a fit says nothing of how fast the servo answers."""
+    angle = speed = 0.0
+    rows = ["t/s,angle [rad],voltage [V]"]
+    for k in range(3000):
+        wanted = (0.0, 1.5, -1.0, 2.0, 0.5, -2.0, 1.0, 0.0)[k // 375]
+        voltage = min(max(8.0 * (wanted - angle) - 0.4 * speed, -12.0), 12.0)
+        rows.append(f"{0.04 * k:.2f},{angle:.4f},{voltage:.3f}")
+        for _ in range(20):
+            friction = math.copysign(3.0, speed) if abs(speed) > 1e-3 else 0.0
+            speed += 0.002 * ((2.0 * voltage - speed) / 0.15 - friction)
+            angle += 0.002 * speed
+    path = tmp_path / "servo.csv"
+    path.write_text("\n".join(rows))
+    proposal = propose(
+        read_table(path), parse_map(["time=t/s", "output=angle", "input=voltage"])
+    )
+    assert proposal.period == 0.04
+    (note,) = [note for note in proposal.notes if "as long as" in note]
+    assert note.startswith(
+        "The recording does not show at which level angle would rest under a constant voltage"
+    )
 
 
 def test_a_constant_load_and_a_second_lag_are_found_with_the_file_as_it_was_written(

@@ -83,6 +83,11 @@ FLAWS = {
         ),
         ({"condition": float("inf")}, Status.NOT_IDENTIFIABLE, "condition number inf"),
         (
+            {"condition": 5e3, "confused": ("seebeck",)},
+            Status.NOT_IDENTIFIABLE,
+            "is above 1000: seebeck hardly shows in this window",
+        ),
+        (
             {
                 "condition": 5e3,
                 "confused": ("seebeck", "conductance"),

@@ -55,6 +55,8 @@ class _ModelBlocks(Rule):
 
     fewest: int = 20
     """Fewest of them."""
+    sure: float = 3.0
+    """Standard errors by which the way back to a rest differs from none."""
     moves: float = 5.0
     """Standard deviation of the changes from block to block, in those of the noise, that shows the plant."""
 
@@ -76,6 +78,9 @@ _RANGES: Final = (
     (-255.0, 255.0),
 )
 """Usual ranges of a drive's command."""
+_OF_AN_INTEGRATOR: Final = 1.0 / 50.0
+"""Share of a recording that stands for the time in which an output answers that moves on as long as its input
+acts: a recording shows some ten movements or more."""
 _BEYOND: Final = 0.05
 """A command may go beyond a usual range by this share of it, as that of a controller without limits does."""
 _OFFSET_UNITS: Final = {
@@ -210,7 +215,10 @@ def propose(
     disturbances = disturbance_signals(
         table, sources, disturbance_names, resampled, names_in_file
     )
-    period = signal_map.period or usual_period(model.lag, resampled.period)
+    duration = reading.size * resampled.period
+    # a lag that is not known says nothing of how fast the output answers
+    lag_of_period = model.lag if model.rests else duration * _OF_AN_INTEGRATOR
+    period = signal_map.period or usual_period(lag_of_period, resampled.period)
     return Proposal(
         output=Signal(
             output_name, output_unit, *_output_range(reading, drive_range, model)
@@ -231,7 +239,12 @@ def propose(
         bridge=bridge,
         notes=(
             *notes_on_table(table, sources, times),
-            *note_on_period(model.lag, resampled.period, period),
+            *(
+                ()
+                if model.rests
+                else [_note_on_integration(model.lag, output_name, input_name)]
+            ),
+            *note_on_period(lag_of_period, resampled.period, period),
         ),
     )
 
@@ -271,6 +284,15 @@ def notes_on_table(
     """How a table was read."""
     of_times = notes_on_times(table, sources.get("time"), times)
     return (*table.notes, *notes_on_readings(table, sources), *of_times)
+
+
+def _note_on_integration(lag: float, output: str, drive: str) -> str:
+    """A note where the output seems to move on as long as the input acts."""
+    return (
+        f"The recording does not show at which level {output} would rest under a constant {drive}: the lag of "
+        f"{lag:.3g} s is a guess. If {output} moves on as long as {drive} acts, as an angle does, write its rate "
+        "without `- self.inner`."
+    )
 
 
 def note_on_period(lag: float, row_period: float, period: float) -> list[str]:
@@ -348,6 +370,8 @@ class _FirstOrder(NamedTuple):
     """s"""
     rest: float
     """Steady-state output without input."""
+    rests: bool = True
+    """Whether the samples show that it tends to a steady state."""
 
 
 def _estimated(
@@ -376,7 +400,9 @@ def _begun_at_rest(
     final = model.rest + model.gain * float(levels[np.argmax(counts)])
     parted = begun_at_rest(reading, drive, final)
     return (
-        model if parted is None else _rounded_model(parted.gain, model.lag, parted.rest)
+        model
+        if parted is None
+        else _rounded_model(parted.gain, model.lag, parted.rest, rests=model.rests)
     )
 
 
@@ -526,17 +552,33 @@ def _of_blocks(
     table = np.column_stack(
         [np.ones(before.size), before, *(signal[:-1] for signal in means[1:])]
     )
-    constant, by_output, by_input, *_ = np.linalg.lstsq(table, changes, rcond=None)[0]
+    coefficients = np.linalg.lstsq(table, changes, rcond=None)[0]
+    constant, by_output, by_input, *_ = coefficients
     back = -float(by_output)
     if not (0.0 < back < 1.0 and abs(by_input) > 0):
         return None
+    error = _error_of_second(table, changes - table @ coefficients)
     return _rounded_model(
-        float(by_input) / back, -period / math.log1p(-back), float(constant) / back
+        float(by_input) / back,
+        -period / math.log1p(-back),
+        float(constant) / back,
+        rests=back > _BLOCKS.sure * error,
     )
 
 
-def _rounded_model(gain: float, lag: float, rest: float) -> _FirstOrder:
-    return _FirstOrder(rounded(gain), rounded(lag), rounded(rest, 3))
+def _error_of_second(table: FloatArray, left: FloatArray) -> float:
+    """Standard error of the second coefficient of a regression that left these residuals."""
+    scales = np.maximum(np.linalg.norm(table, axis=0), np.finfo(np.float64).tiny)
+    scaled = table / scales
+    variance = float(left @ left) / max(left.size - table.shape[1], 1)
+    covariance = variance * np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+    return float(np.sqrt(covariance[1, 1])) / float(scales[1])
+
+
+def _rounded_model(
+    gain: float, lag: float, rest: float, *, rests: bool = True
+) -> _FirstOrder:
+    return _FirstOrder(rounded(gain), rounded(lag), rounded(rest, 3), rests)
 
 
 def without_spikes(values: FloatArray, noise: float) -> FloatArray:

@@ -177,9 +177,11 @@ def _loose_sentence(evidence: FitEvidence, limits: GateLimits) -> str | None:
             evidence.free, evidence.values, evidence.standard_errors, limits
         )
     which = ", ".join(evidence.confused) or "the free parameters"
+    if len(evidence.confused) != 1:
+        which = f"some combination of {which}"
     reason = (
         f"the condition number {evidence.condition:.3g} is above {limits.condition:g}: "
-        f"some combination of {which} hardly shows in this window"
+        f"{which} hardly shows in this window"
     )
     return f"{reason}; {evidence.still}" if evidence.still else reason
 
