@@ -515,6 +515,32 @@ def test_a_dead_time_before_a_switch_is_written_so_that_its_corners_are_followed
     assert fitted.parameters["lag"] == pytest.approx(400.0, rel=0.01)
 
 
+def test_an_input_far_from_zero_counts_from_its_middle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reactor and its coolant, both in kelvin: without a centre the rest is below absolute zero, and no
+    window tells it from the gain."""
+    monkeypatch.chdir(tmp_path)
+    noise = np.random.default_rng(2)
+    coolant = np.repeat([300.0, 302.0, 299.0, 303.0, 297.0, 300.0], 60)
+    reactor = 325.0
+    rows = ["time (s),Reactor [K],Coolant [K]"]
+    for k, level in enumerate(coolant.tolist()):
+        rows.append(f"{3 * k},{reactor + noise.normal(0.0, 0.05):.2f},{level:g}")
+        reactor += (325.0 + 1.8 * (level - 300.0) - reactor) * 0.05
+    Path("log.csv").write_text("\n".join(rows))
+    named = ["time=time", "output=Reactor", "input=Coolant"]
+    proposal = propose(read_table(Path("log.csv")), parse_map(named))
+    assert proposal.centre == 300.0
+    assert proposal.rest == pytest.approx(325.0, abs=0.5)
+    assert 250.0 < proposal.output.low < proposal.output.high < 400.0
+    for name, text in files_of("reactor", proposal).items():
+        Path(name).write_text(text)
+    plant = find_plant("reactor.py")
+    assert check_plant(plant).findings == ()
+    runpy.run_path("test_reactor.py")["test_its_parameters_are_recovered"]()
+
+
 def test_of_an_angle_that_moves_on_the_rows_are_kept_and_that_is_said(
     tmp_path: Path,
 ) -> None:

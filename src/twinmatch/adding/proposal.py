@@ -119,9 +119,12 @@ class Proposal:
     lag: float
     """Time constant, s."""
     rest: float
-    """Steady-state output without input, where no disturbance determines it."""
+    """Steady-state output with the input at its centre, where no disturbance determines it."""
     sources: dict[str, SignalSource]
     """By signal, with the names of this plant; empty without a table."""
+    centre: float = 0.0
+    """The level of the input from which its effect is counted; 0, unless it stays far from that, as one in
+    kelvin does."""
     table: str = ""
     """Name of the table's file."""
     has_reference: bool = False
@@ -195,7 +198,6 @@ def propose(
     resampled, bridge = on_one_clock(table, sources, times, signal_map.period, longest)
     disturbance_names = [name for name in signal_map.sources if name not in _KNOWN]
     reading = resampled.columns["output"]
-    noise, model = _estimated(resampled, disturbance_names)
     output_unit = unit_of(table, sources, "output")
     around = next(
         (
@@ -205,10 +207,12 @@ def propose(
         ),
         None,
     )
-    if around is not None:
-        model = model._replace(rest=float(resampled.columns[around].mean()))
     drive = signal_values(table, sources, "input")
     drive_range = range_of(drive)
+    centre = 0.0 if around is not None else _centre_of(drive_range)
+    noise, model = _estimated(resampled, disturbance_names, centre)
+    if around is not None:
+        model = model._replace(rest=float(resampled.columns[around].mean()))
     names_in_file: list[str] = []
     output_name = signal_name(sources, "output", names_in_file)
     input_name = signal_name(sources, "input", names_in_file)
@@ -221,7 +225,9 @@ def propose(
     period = signal_map.period or usual_period(lag_of_period, resampled.period)
     return Proposal(
         output=Signal(
-            output_name, output_unit, *_output_range(reading, drive_range, model)
+            output_name,
+            output_unit,
+            *_output_range(reading, [limit - centre for limit in drive_range], model),
         ),
         input=Signal(input_name, unit_of(table, sources, "input"), *drive_range),
         disturbances=tuple(disturbances.values()),
@@ -230,6 +236,7 @@ def propose(
         gain=model.gain,
         lag=model.lag,
         rest=model.rest,
+        centre=centre,
         sources=by_names_in_file(signal_map, disturbances),
         table=table.path.name,
         has_reference="reference" in signal_map.sources,
@@ -369,18 +376,21 @@ class _FirstOrder(NamedTuple):
     lag: float
     """s"""
     rest: float
-    """Steady-state output without input."""
+    """Steady-state output without input, or with it at its centre."""
     rests: bool = True
     """Whether the samples show that it tends to a steady state."""
 
 
 def _estimated(
-    resampled: Resampled, disturbances: Sequence[str]
+    resampled: Resampled, disturbances: Sequence[str], centre: float
 ) -> tuple[float, _FirstOrder]:
-    """The output's noise and the model, from the longest stretch: across a gap there are no rates."""
+    """The output's noise and the model, from the longest stretch: across a gap there are no rates.
+
+    The rest of the model is that with the input at its centre.
+    """
     longest = max(resampled.stretches, key=lambda stretch: stretch.stop - stretch.start)
     reading = resampled.columns["output"][longest]
-    drive = resampled.columns["input"][longest]
+    drive = resampled.columns["input"][longest] - centre
     disturbance_columns = [resampled.columns[name][longest] for name in disturbances]
     noise = noise_of(reading, [drive, *disturbance_columns])
     free_of_spikes = without_spikes(reading, noise)
@@ -407,9 +417,12 @@ def _begun_at_rest(
 
 
 def _output_range(
-    reading: FloatArray, drive_range: tuple[float, float], model: _FirstOrder
+    reading: FloatArray, drive_range: Sequence[float], model: _FirstOrder
 ) -> tuple[float, float]:
-    """Round numbers around all readings and steady states, as far beyond them as the readings go."""
+    """Round numbers around all readings and steady states, as far beyond them as the readings go.
+
+    The range of the drive is that about its centre.
+    """
     span = float(np.ptp(reading)) or 1.0
     steady = [model.rest, *(model.rest + model.gain * limit for limit in drive_range)]
     low = min(float(reading.min()), *steady)
@@ -492,6 +505,16 @@ def word(title: str, names_in_file: list[str]) -> str:
         plain += "_"
     names_in_file.append(plain)
     return plain
+
+
+def _centre_of(drive_range: tuple[float, float]) -> float:
+    """The level from which the effect of an input is counted: 0, or its middle if 0 is farther than its range.
+
+    An effect counted from far away hardly shows apart from a rest.
+    """
+    low, high = drive_range
+    distance = max(low, -high, 0.0)
+    return rounded((low + high) / 2) if distance > high - low else 0.0
 
 
 def range_of(values: FloatArray) -> tuple[float, float]:

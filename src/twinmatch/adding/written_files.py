@@ -134,6 +134,7 @@ def _plant(name: str, proposal: Proposal) -> dict[str, Any]:
         if y.unit
         else "1",
         "rest": proposal.rest,
+        "centre": proposal.centre,
         "title": _title(name),
         "absolute": _ABSOLUTE.get(y.unit),
         "drive_rest": min(max(0.0, u.low), u.high),
