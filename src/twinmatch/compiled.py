@@ -200,12 +200,12 @@ class _Part(JITCodeLibrary):
         return 0
 
 
-class _Entry(JITCodeLibrary):
+class _EntryPoint(JITCodeLibrary):
     """An entry point from Python with all that it calls, which counts references to arrays by itself.
 
-    numba counts them in steps that are atomic, as threads could share an array: a tenth of the time of a
-    replay. Here each call from Python wraps its arrays anew, and a kernel starts no threads, so only the
-    thread that called it counts them.
+    numba counts them in steps that are atomic, as threads could share an array: a twentieth of the time of a
+    replay. Here each call from Python makes counters of its own for its arrays, and a kernel starts no
+    threads, so only the thread that called it counts them.
     """
 
     def _optimize_final_module(self) -> None:
@@ -292,7 +292,7 @@ def _compile_entry(part: Any, addressed: bool, args: Any, return_type: Any) -> A
         part.compile(tuple(args))
     compiled = part.overloads[tuple(args)]
     context = compiled.target_context
-    library = _Entry(context.codegen(), compiled.fndesc.qualname)
+    library = _EntryPoint(context.codegen(), compiled.fndesc.qualname)
     library.enable_object_caching()
     library._shared_module = llvmlite.binding.parse_assembly("")  # kernels link parts
     library.add_linking_library(compiled.library)
