@@ -557,6 +557,24 @@ def test_ctrl_c_ends_a_replay_with_one_line_and_its_code(tmp_path: Path) -> None
     assert "Traceback" not in process.text
 
 
+ENDING = """
+import atexit, gc
+
+# what is registered first is called last
+atexit.register(lambda: print(gc.get_freeze_count() > 0))
+from twinmatch.cli import main
+
+main(["memory", "--help"])
+"""
+
+
+def test_a_command_leaves_its_objects_to_the_end_of_the_process(tmp_path: Path) -> None:
+    """Python's last collection, which would look at all of them, finds none."""
+    process = Process(sys.executable, "-c", ENDING, output=tmp_path / "said")
+    assert process.wait() == 0
+    assert process.lines[-1] == "True"
+
+
 def test_ctrl_c_while_judging_takes_effect_between_two_samples(
     small_session: Path,
 ) -> None:

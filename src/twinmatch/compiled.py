@@ -24,6 +24,7 @@ from typing import Any, Final, TypeVar, overload
 
 import llvmlite.binding
 import numba
+from llvmlite import ir
 from numba import types
 from numba.core import event
 from numba.core.bytecode import FunctionIdentity
@@ -199,6 +200,56 @@ class _Part(JITCodeLibrary):
         return 0
 
 
+class _EntryPoint(JITCodeLibrary):
+    """An entry point from Python with all that it calls, which counts references to arrays by itself.
+
+    numba counts them in steps that are atomic, as threads could share an array: a twentieth of the time of a
+    replay. Here each call from Python makes counters of its own for its arrays, and a kernel starts no
+    threads, so only the thread that called it counts them.
+    """
+
+    def _optimize_final_module(self) -> None:
+        counting = llvmlite.binding.parse_assembly(str(_counting_module()))
+        self._final_module.link_in(counting)
+        for name in _COUNTING:
+            # kernels of others continue to use those of numba
+            self._final_module.get_function(name).linkage = "internal"
+        super()._optimize_final_module()
+
+
+_COUNTING: Final = ("NRT_incref", "NRT_decref")
+"""Names by which compiled code counts one reference more to an array, and one less."""
+
+
+def _counting_module() -> ir.Module:
+    """How references to an array are counted within one thread; behind the last one the array is freed.
+
+    Like numba's, these functions are not inlined: its optimiser looks for calls of them that cancel out.
+    """
+    module = ir.Module("counting")
+    count_type = ir.IntType(64)
+    array_type = ir.IntType(8).as_pointer()
+    of_array = ir.FunctionType(ir.VoidType(), [array_type])
+    free = ir.Function(module, of_array, "NRT_MemInfo_call_dtor")
+    for name, change in zip(_COUNTING, (1, -1), strict=True):
+        function = ir.Function(module, of_array, name)
+        function.attributes.add("noinline")
+        (array,) = function.args
+        builder = ir.IRBuilder(function.append_basic_block())
+        is_counted = builder.icmp_unsigned("!=", array, ir.Constant(array_type, None))
+        with builder.if_then(is_counted):
+            # the count is the first number of what numba keeps of an array
+            place = builder.bitcast(array, count_type.as_pointer())
+            count = builder.add(builder.load(place), ir.Constant(count_type, change))
+            builder.store(count, place)
+            if change < 0:
+                is_last = builder.icmp_unsigned("==", count, ir.Constant(count_type, 0))
+                with builder.if_then(is_last):
+                    builder.call(free, [array])
+        builder.ret_void()
+    return module
+
+
 @contextlib.contextmanager
 def _undisturbed() -> Iterator[None]:
     """Compile without what costs a tenth of the time: the collector, which looks at all objects again and
@@ -241,7 +292,7 @@ def _compile_entry(part: Any, addressed: bool, args: Any, return_type: Any) -> A
         part.compile(tuple(args))
     compiled = part.overloads[tuple(args)]
     context = compiled.target_context
-    library = context.codegen().create_library(compiled.fndesc.qualname)
+    library = _EntryPoint(context.codegen(), compiled.fndesc.qualname)
     library.enable_object_caching()
     library._shared_module = llvmlite.binding.parse_assembly("")  # kernels link parts
     library.add_linking_library(compiled.library)

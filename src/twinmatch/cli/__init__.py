@@ -7,6 +7,7 @@ or a terminal is imported in functions: the rest must do without.
 from __future__ import annotations
 
 import argparse
+import atexit
 import gc
 import signal
 import sys
@@ -93,6 +94,8 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code: 0 done, 2 an error the user can correct, 130 interrupted."""
     gc.set_threshold(GARBAGE)
+    # Python would look for cycles among all objects once more before it ends: a twentieth of a replay's time.
+    atexit.register(gc.freeze)
     with printable_output():
         return _run(arguments)
 

@@ -453,7 +453,7 @@ def track(  # noqa: PLR0917
     cost: float,
 ) -> float:
     """Track some samples; belief and traces change in place. Return the code length, in nats, of these
-    readings and of those before, which is `cost`.
+    readings and of those before, which is `cost`; not finite if the equations had no solution on the way.
 
     `at`, shape (n,), are the means of the belief: states, parameters, and the places SHARE to RATE;
     `covariance`, shape (n, n), is theirs.
@@ -481,6 +481,7 @@ def track(  # noqa: PLR0917
     noises = np.zeros(size)
     moved = np.zeros((n, size))
     next_states = np.zeros(n)
+    next_effects = np.zeros((n, traces.effects.shape[2]))
     output_slopes = work.output_slopes
     slope[offset] = slope[passing] = 1.0
     _use(code, free, at, vector, work)
@@ -537,8 +538,19 @@ def track(  # noqa: PLR0917
             for i in range(size):
                 covariance[i, rising] += covariance[i, rate] * fixed.period
             _use(code, free, at, vector, work)
-        _carry_effects(moved, next_states, traces.effects, fixed.keeps)
-    return cost
+        _carry_effects(moved, next_effects, traces.effects, fixed.keeps)
+    return cost if _is_finite(at, covariance) else math.nan
+
+
+@compiled(innermost=True)
+def _is_finite(at: FloatArray, covariance: FloatArray) -> bool:
+    """Whether all numbers of a belief are finite."""
+    total = 0.0
+    for i in range(at.size):
+        total += at[i]
+        for j in range(at.size):
+            total += covariance[i, j]
+    return math.isfinite(total)
 
 
 @compiled(innermost=True)
@@ -624,30 +636,40 @@ def _correct_effects(
 ) -> None:
     """Correct the effects of jumps as the belief is, and add what they leave in this innovation."""
     effects, hits, weights = traces
-    for kind in range(effects.shape[1]):
-        for start in range(effects.shape[2]):
-            shown = 0.0
-            for i in range(slope.size):
-                shown += slope[i] * effects[i, kind, start]
-            hits[kind, start] += shown * innovation / variance
-            weights[kind, start] += shown * shown / variance
-            for i in range(slope.size):
-                effects[i, kind, start] -= gain[i] * shown
+    kinds, starts = hits.shape
+    shown = np.empty(starts)
+    for kind in range(kinds):
+        # The starts are next to each other in memory: as the innermost loop they fill the vector unit.
+        for start in range(starts):
+            shown[start] = 0.0
+        for i in range(slope.size):
+            for start in range(starts):
+                shown[start] += slope[i] * effects[i, kind, start]
+        for start in range(starts):
+            hits[kind, start] += shown[start] * innovation / variance
+            weights[kind, start] += shown[start] * shown[start] / variance
+        for i in range(slope.size):
+            for start in range(starts):
+                effects[i, kind, start] -= gain[i] * shown[start]
 
 
 @compiled(inside=True)
 def _carry_effects(
     moved: FloatArray, there: FloatArray, effects: FloatArray, keeps: FloatArray
 ) -> None:
-    """Predict the effects of jumps one period ahead."""
+    """Predict the effects of jumps one period ahead; `there`, shape (n, starts), gets those on the states."""
     n, size = moved.shape
-    for kind in range(effects.shape[1]):
-        for start in range(effects.shape[2]):
-            for i in range(n):
-                there[i] = 0.0
-                for q in range(size):
-                    there[i] += moved[i, q] * effects[q, kind, start]
-            for i in range(n):
-                effects[i, kind, start] = there[i]
-            for i in range(n, size):
+    _, kinds, starts = effects.shape
+    for kind in range(kinds):
+        for i in range(n):
+            for start in range(starts):
+                there[i, start] = 0.0
+            for q in range(size):
+                for start in range(starts):
+                    there[i, start] += moved[i, q] * effects[q, kind, start]
+        for i in range(n):
+            for start in range(starts):
+                effects[i, kind, start] = there[i, start]
+        for i in range(n, size):
+            for start in range(starts):
                 effects[i, kind, start] *= keeps[i]

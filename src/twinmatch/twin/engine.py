@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -240,8 +239,10 @@ class Discriminator:
         trigger = self._due
         assert trigger is not None  # noqa: S101
         verdicts: list[Verdict] = []
-        with self._replacing_defect(verdicts, trigger.sample, self._begin_candidates):
+        try:
             verdicts.append(self._judge(trigger, self._admit(trigger, report)))
+        except Exception as error:
+            verdicts += self._start_over(error, trigger.sample, self._begin_candidates)
         return self._settle(verdicts)
 
     def _settle(self, verdicts: list[Verdict]) -> Step:
@@ -257,12 +258,14 @@ class Discriminator:
                 del self.stamps[next(iter(self.stamps))]
             outputs_taken = self._taken_by_law(sample)
             self._watched = None
-            with self._replacing_defect(verdicts, sample.index, self._begin_health):
+            try:
                 self._watch(sample)
+            except Exception as error:
+                verdicts += self._start_over(error, sample.index, self._begin_health)
             if self._watched is None:
                 continue
             estimates += self.monitor.estimates
-            with self._replacing_defect(verdicts, sample.index, self._begin_candidates):
+            try:
                 verdicts += self._take(sample, outputs_taken)
                 if (
                     self._snapshots
@@ -271,6 +274,10 @@ class Discriminator:
                 ):
                     snapshots.append(self.forecaster.snapshot())
                 verdicts += self._scheduled(sample)
+            except Exception as error:
+                verdicts += self._start_over(
+                    error, sample.index, self._begin_candidates
+                )
             if self._request is not None:
                 break
         return Step(
@@ -297,28 +304,26 @@ class Discriminator:
         if oldest is None:
             return None
         settled: Sample | None = None
-        with self._replacing_defect(verdicts, oldest.index, self._begin_door):
+        try:
             settled = self._door.next()
+        except Exception as error:
+            verdicts += self._start_over(error, oldest.index, self._begin_door)
         # a door passes every sample on, also one at which it had a defect
         return replace(oldest, usable=False) if settled is None else settled
 
-    @contextmanager
-    def _replacing_defect(
-        self, verdicts: list[Verdict], sample: int, start_over: Callable[[], None]
-    ) -> Iterator[None]:
-        """Run one part at a sample, within this context.
+    def _start_over(
+        self, error: Exception, sample: int, start_over: Callable[[], None]
+    ) -> list[Verdict]:
+        """Have a part start over that has raised an error, which no user can fix, at a sample.
 
-        If it raises an error that no user can fix, the part starts over, and a verdict that says so takes the
-        place of the one that could not be made.
+        Returns the verdict that says so, in place of the one that could not be made, if it is due.
         """
-        try:
-            yield
-        except Exception as error:
-            window = self._window_at(sample)
-            start_over()
-            defect = self._logged(error)
-            if self._is_due(sample, defect):
-                verdicts.append(self._no_verdict(sample, window, defect))
+        window = self._window_at(sample)
+        start_over()
+        defect = self._logged(error)
+        if not self._is_due(sample, defect):
+            return []
+        return [self._no_verdict(sample, window, defect)]
 
     def _logged(self, error: Exception) -> Defect:
         """The defect behind an error, logged; an error that the user can fix is raised again."""

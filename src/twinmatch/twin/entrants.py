@@ -95,7 +95,7 @@ class Standings:
         }
         return max(
             totals,
-            key=lambda name: np.nan_to_num(totals[name], nan=-np.inf),
+            key=lambda name: -math.inf if math.isnan(totals[name]) else totals[name],
             default=None,
         )
 
