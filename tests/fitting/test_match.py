@@ -243,7 +243,7 @@ def test_values_of_the_plant_file_that_no_fit_beats_are_the_match(
     assert np.sqrt(np.diag(kept.covariance)) == pytest.approx(
         fitted.standard_errors, rel=0.5
     )
-    # of a window that they do not explain they are no twin
+    # they do not stand for a window that they do not explain
     strict = GateLimits(slack=0.9, chi2=0.99 * kept.chi2)
     assert not match(window, start=TRUTH, limits=strict).accepted
 

@@ -69,7 +69,7 @@ def test_a_run_of_a_frozen_sensor_is_not_how_it_usually_reads() -> None:
     [
         ((45.0, 45.3, 45.6), 35.0, True),
         ((45.0, 35.3, 35.6), 35.0, False),  # an outlier
-        ((45.0, 53.0, 60.0), 35.0, False),  # it goes on: the plant moves
+        ((45.0, 53.0, 60.0), 35.0, False),  # it continues: the plant moves
         ((45.0, 45.3, 45.6), 39.0, False),  # the equations expected a good part of it
         ((45.0, 45.3, 45.6), 29.0, True),  # they expected the contrary
     ],

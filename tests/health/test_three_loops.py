@@ -133,7 +133,9 @@ def test_something_unknown_that_leads_alone_is_reported(
     )
 
 
-def test_zones_that_heat_up_at_once_within_samples_are_no_sensors_that_jumped() -> None:
+def test_zones_that_heat_up_within_samples_are_not_taken_for_sensors_that_jumped() -> (
+    None
+):
     """Of a recording with few samples in a time constant, with another gain than the file says."""
     monitor = ChannelMonitor(Zones.model().typical(), 10.0)
     noise = np.random.default_rng(3)
