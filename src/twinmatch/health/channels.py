@@ -478,7 +478,8 @@ class ChannelMonitor:
             return False
         is_large = abs(best.shift) >= self._least_reported(best)
         if undone is None and is_large and not young:
-            return not self._may_cross(best) and not self._creeps_unseen(best)
+            seems_to_do_more = self._does_more(best) and self._may_cross(best)
+            return not seems_to_do_more and not self._creeps_unseen(best)
         if undone is not None or best.evidence > 2.0 * CHANGE:
             self._adopt(best)
         return False
@@ -490,7 +491,7 @@ class ChannelMonitor:
     def _is_open(self, drive: Suspect) -> bool:
         """Whether a weak drive may still be a lost one, or one that does more an exchange that the equations
         lack."""
-        lacks_evidence = drive.shift > 0.0 and drive.evidence < _NAMING.more
+        lacks_evidence = self._does_more(drive) and drive.evidence < _NAMING.more
         return lacks_evidence or self._age(drive) < _NAMING.sized
 
     def _began_known(self, best: Suspect) -> bool:
@@ -504,12 +505,16 @@ class ChannelMonitor:
             cls._least_reported(best), _NAMING.certain * best.error
         )
 
+    @classmethod
+    def _least_reported(cls, suspect: Suspect) -> float:
+        """The smallest size of such a change that is reported."""
+        least = suspect.row.least
+        return max(least, MORE) if cls._does_more(suspect) else least
+
     @staticmethod
-    def _least_reported(suspect: Suspect) -> float:
-        """The smallest size of such a change that is reported; a drive that does more does so whatever it
-        was followed as."""
-        does_more = suspect.cause[0] is Fault.DRIVE_WEAK and suspect.shift > 0.0
-        return max(suspect.row.least, MORE) if does_more else suspect.row.least
+    def _does_more(suspect: Suspect) -> bool:
+        """Whether it is a drive that does more than before, whatever it was followed as."""
+        return suspect.cause[0] is Fault.DRIVE_WEAK and suspect.shift > 0.0
 
     def _is_young(self, best: Suspect) -> bool:
         """Whether the plant is not known for long enough to say that this has changed.
