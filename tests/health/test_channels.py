@@ -135,7 +135,7 @@ def test_a_lost_heater_is_named_with_its_channel() -> None:
     assert alarm.size < 0.2
 
 
-def test_a_heater_of_which_a_third_arrives_is_not_called_lost() -> None:
+def test_a_heater_of_which_two_fifths_arrive_is_not_called_lost() -> None:
     """Its loop has a display with coarse steps, and what is left of its effect is known by ±0.1 at best: less
     than a fifth of it seems to be left for a while."""
     monitor, samples = kit_21()
