@@ -161,7 +161,8 @@ class FaultTrial:
         rows = self._competition.rows
         table = self._competition.table
         traces = unborn(len(rows), members.at.shape[1])
-        spawn(traces, table, members.at, np.zeros(1), -1.0, len(self.inputs), 0)
+        usual = np.zeros(self.inputs.shape[1])
+        spawn(traces, table, members.at, np.zeros(1), -1.0, usual, len(self.inputs), 0)
         saved = self._follow(
             members, traces, self.readings(fault), self.inputs[len(self.healthy) :]
         )
@@ -233,6 +234,7 @@ class FaultTrial:
                 1e-3 * noise,
                 zeros,
                 healthy.acting(u),
+                healthy.crossing_inputs,
                 model.disturbances,
             )
             step(

@@ -76,6 +76,8 @@ class Reading(NamedTuple):
     """Probability that a healthy sensor repeats its reading, whatever the plant does."""
     inputs: FloatArray
     """Those that act, for each way in which they may act, shape (ways, m)."""
+    crossing: FloatArray
+    """Those that arrive at the places of the other drives, shape (m,)."""
     disturbances: FloatArray
 
 
@@ -119,13 +121,15 @@ class ChangeTraces(NamedTuple):
     """Prior probability of the onsets that it stands for."""
     weight: FloatArray
     """Logarithm of the weight of its level when it began."""
+    usual: FloatArray
+    """What the inputs that its number follows amounted to when it began."""
 
 
 def unborn(count: int, size: int) -> ChangeTraces:
     """Room for so many onsets, of filters of so many numbers."""
     born = np.full(count, -1, dtype=np.int64)
     trace = np.zeros((count, size))
-    return ChangeTraces(born, trace, *(np.zeros(count) for _ in range(6)))
+    return ChangeTraces(born, trace, *(np.zeros(count) for _ in range(7)))
 
 
 class ChangeRows(NamedTuple):
@@ -153,6 +157,10 @@ class ChangeRows(NamedTuple):
     """Prior probability of each onset."""
     whole: Any
     """Whether the number is −1 afterwards, whatever it was."""
+    crosses: Any
+    """Whether the number follows inputs in proportion, instead of staying as it has changed."""
+    follows: FloatArray
+    """By how much it follows each of the m inputs, shape (R, m)."""
 
 
 @compiled(inside=True)
@@ -245,6 +253,15 @@ def _correct_traces(  # noqa: PLR0917
 
 
 @compiled(inside=True)
+def _followed(rows: ChangeRows, r: int, u: FloatArray) -> float:
+    """What the inputs u, shape (m,), that the number of row r follows amount to."""
+    total = 0.0
+    for k in range(u.size):
+        total += rows.follows[r, k] * u[k]
+    return total
+
+
+@compiled(inside=True)
 def _carry_traces(  # noqa: PLR0917
     fixed: BankConstants,
     traces: ChangeTraces,
@@ -253,6 +270,7 @@ def _carry_traces(  # noqa: PLR0917
     end: int,
     slots: int,
     moved: FloatArray,
+    crossing: FloatArray,
     now: int,
 ) -> None:
     """Move the traces of a member on to the next sample."""
@@ -263,6 +281,8 @@ def _carry_traces(  # noqa: PLR0917
             continue
         trace = traces.trace[t]
         r = (t - begin) // slots
+        if rows.crosses[r]:
+            trace[rows.number[r]] = _followed(rows, r, crossing) - traces.usual[t]
         for j in range(n):
             new[j] = 0.0
             for k in range(size):
@@ -481,7 +501,7 @@ def step(  # noqa: PLR0917
             noises,
         )
         _carry(moved, covariance, fixed.keeps, noises)
-        _carry_traces(fixed, traces, rows, begin, end, slots, moved, now)
+        _carry_traces(fixed, traces, rows, begin, end, slots, moved, r.crossing, now)
         total = 0.0
         for j in range(size):
             total += belief[j] + covariance[j, j]
@@ -528,11 +548,13 @@ def spawn(  # noqa: PLR0917
     at: FloatArray,
     weights: FloatArray,
     least: float,
+    usual: FloatArray,
     reach: int,
     now: int,
 ) -> None:
     """Have every change begin now in each of the levels, whose means are `at`, if its log-weight is at least
-    `least`; onsets older than `reach` samples, and hopeless ones, are dropped."""
+    `least`; onsets older than `reach` samples, and hopeless ones, are dropped. A number that follows inputs
+    counts from their `usual` values, shape (m,)."""
     slots = traces.born.size // (weights.size * rows.number.size)
     for t in range(traces.born.size):
         if traces.born[t] >= 0 and (
@@ -560,6 +582,7 @@ def spawn(  # noqa: PLR0917
             traces.score[t] = 0.0
             traces.mass[t] = rows.mass[r]
             traces.weight[t] = weights[b]
+            traces.usual[t] = _followed(rows, r, usual)
 
 
 @compiled

@@ -23,7 +23,7 @@ from twinmatch.health.faults import (
     Lie,
     touching,
 )
-from twinmatch.health.hypotheses import ChangeRow
+from twinmatch.health.hypotheses import MORE, ChangeRow
 from twinmatch.health.reading_through import ReadThrough
 from twinmatch.health.sentences import FaultSentences
 from twinmatch.settings import Rule
@@ -55,7 +55,8 @@ class _Naming(Rule):
     """Evidence from which a drive is said to do more than before, nats: what equations lack of the exchange
     between two loops looks like that."""
     certain: float = 2.0
-    """Standard deviations of its size by which an unnamed change differs from none."""
+    """Standard deviations of its size by which an unnamed change differs from none, and a lost drive from a
+    weak one."""
     confirm: int = 3
     """Samples in a row with a reading that the sensor cannot give."""
 
@@ -363,14 +364,13 @@ class ChannelMonitor:
         )
 
     def _lost_or_weak(self, suspect: Suspect) -> Suspect:
-        """The suspect; a drive is lost if nearly nothing is left of its effect, and weak if more is,
-        whatever it was followed as."""
+        """The suspect; a drive is lost if certainly nearly nothing is left of its effect, and weak if more may
+        be, whatever it was followed as."""
         fault, drive = suspect.cause
         if fault not in {Fault.DRIVE_WEAK, Fault.DRIVE_LOST}:
             return suspect
-        is_lost = (
-            suspect.shift + self.competition.believed(suspect.row.number) <= _LOST_FROM
-        )
+        share = suspect.shift + self.competition.believed(suspect.row.number)
+        is_lost = share + _NAMING.certain * suspect.error <= _LOST_FROM
         return replace(
             suspect, cause=(Fault.DRIVE_LOST if is_lost else Fault.DRIVE_WEAK, drive)
         )
@@ -436,12 +436,14 @@ class ChannelMonitor:
 
     def _wait_for_a_name(self, best: Suspect, suspects: list[Suspect]) -> None:
         """Report a change without a name once none has been found for long enough."""
+        is_reported = self._began_known(best) and self._is_material(best)
+        if not is_reported or self._may_cross(best):
+            self._unnamed = 0
+            return
         self._unnamed += 1
         enough = best.evidence >= 2.0 * CHANGE
         has_waited = self._unnamed > _NAMING.unnamed * self.competition.second
-        if not enough or not has_waited or self.on is not None:
-            return
-        if self._began_known(best) and self._is_material(best):
+        if enough and has_waited and self.on is None:
             self._raise(Fault.DRIFT, best, suspects)
 
     def _over(self, on: ChannelAlarm, suspects: list[Suspect]) -> bool:
@@ -474,8 +476,10 @@ class ChannelMonitor:
         young = self._is_young(best)
         if best.cause[0] in _LEARNED_FIRST and self.competition.rough:
             return False
-        if undone is None and abs(best.shift) >= best.row.least and not young:
-            return True
+        is_large = abs(best.shift) >= self._least_reported(best)
+        if undone is None and is_large and not young:
+            seems_to_do_more = self._does_more(best) and self._may_cross(best)
+            return not seems_to_do_more and not self._creeps_unseen(best)
         if undone is not None or best.evidence > 2.0 * CHANGE:
             self._adopt(best)
         return False
@@ -487,17 +491,30 @@ class ChannelMonitor:
     def _is_open(self, drive: Suspect) -> bool:
         """Whether a weak drive may still be a lost one, or one that does more an exchange that the equations
         lack."""
-        lacks_evidence = drive.shift > 0.0 and drive.evidence < _NAMING.more
+        lacks_evidence = self._does_more(drive) and drive.evidence < _NAMING.more
         return lacks_evidence or self._age(drive) < _NAMING.sized
 
     def _began_known(self, best: Suspect) -> bool:
         """Whether the plant was known well when the change began."""
         return self.competition.known - self._age(best) >= _NAMING.learned
 
-    @staticmethod
-    def _is_material(best: Suspect) -> bool:
+    @classmethod
+    def _is_material(cls, best: Suspect) -> bool:
         """Whether a change is one that is reported, and not one that has shrunk to nothing since."""
-        return abs(best.shift) >= max(best.row.least, _NAMING.certain * best.error)
+        return abs(best.shift) >= max(
+            cls._least_reported(best), _NAMING.certain * best.error
+        )
+
+    @classmethod
+    def _least_reported(cls, suspect: Suspect) -> float:
+        """The smallest size of such a change that is reported."""
+        least = suspect.row.least
+        return max(least, MORE) if cls._does_more(suspect) else least
+
+    @staticmethod
+    def _does_more(suspect: Suspect) -> bool:
+        """Whether it is a drive that does more than before, whatever it was followed as."""
+        return suspect.cause[0] is Fault.DRIVE_WEAK and suspect.shift > 0.0
 
     def _is_young(self, best: Suspect) -> bool:
         """Whether the plant is not known for long enough to say that this has changed.
@@ -512,6 +529,17 @@ class ChannelMonitor:
         if best.row.slowly:
             return not self._began_known(best)
         return known < _NAMING.young
+
+    def _may_cross(self, best: Suspect) -> bool:
+        """Whether what the equations lack of the exchange between the loops explains the samples nearly as
+        well."""
+        return self.competition.crossing > max(0.0, best.evidence - LEAD)
+
+    def _creeps_unseen(self, best: Suspect) -> bool:
+        """Whether it is a creeping change while a drive is lost: the plant then goes where nothing has shown
+        how well the equations describe it, and what they lack creeps as well."""
+        drive_is_lost = self.on is not None and self.on.fault is Fault.DRIVE_LOST
+        return drive_is_lost and best.row.slowly > 0.0
 
     @staticmethod
     def _exclude_each_other(suspect: Suspect, best: Suspect) -> bool:

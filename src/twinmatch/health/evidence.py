@@ -15,7 +15,12 @@ import numpy as np
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.bank import ChangeRows, Reading, spawn, step, tally, unborn
 from twinmatch.health.faults import TRAITS, Fault, Subject
-from twinmatch.health.hypotheses import ChangeRow, PlacedFault, rows_of
+from twinmatch.health.hypotheses import (
+    ChangeRow,
+    Explanation,
+    PlacedFault,
+    rows_of,
+)
 from twinmatch.health.mixture import HealthyMixture
 from twinmatch.health.reading_through import ReadThrough, Rehearsal
 from twinmatch.health.sensors import Jump, LearnedSensor
@@ -116,10 +121,13 @@ class Competition:
         self._traces = unborn(
             healthy.levels * len(self.rows) * _FOLLOWING.slots, len(healthy.numbers)
         )
-        self._causes = list(dict.fromkeys(row.cause for row in self.rows))
+        self._explanations = list(dict.fromkeys(row.explanation for row in self.rows))
+        self._crosses = np.array(
+            [explanation.crosses for explanation in self._explanations]
+        )
         self.table = self._table_of(self.rows)
-        self._totals = np.full(len(self._causes), -np.inf)
-        self._likeliest = np.zeros(len(self._causes), dtype=np.int64)
+        self._totals = np.full(len(self._explanations), -np.inf)
+        self._likeliest = np.zeros(len(self._explanations), dtype=np.int64)
 
     def _table_of(self, rows: list[ChangeRow]) -> ChangeRows:
         """The changes as the bank of hypotheses takes them."""
@@ -131,7 +139,7 @@ class Competition:
         also = np.full((len(rows), most_others), -1, dtype=np.int64)
         for place, row in enumerate(rows):
             also[place, : len(row.also)] = [healthy.numbers[name] for name in row.also]
-        causes = [self._causes.index(row.cause) for row in rows]
+        causes = [self._explanations.index(row.explanation) for row in rows]
         rates = [period / (row.slowly * scale) if row.slowly else 0.0 for row in rows]
         lasting = np.array(
             [round(row.lasting * self.second) for row in rows], dtype=np.int64
@@ -139,6 +147,10 @@ class Competition:
         comes_at_once = lasting <= 0
         wanders = np.array([row.wanders for row in rows])
         spread = np.array([row.spread for row in rows])
+        follows = np.zeros((len(rows), self._model.rest.size))
+        for place, row in enumerate(rows):
+            if row.crosses:
+                follows[place] = row.follows
         return ChangeRows(
             number=np.array(numbers, dtype=np.int64),
             also=also,
@@ -155,17 +167,27 @@ class Competition:
             whole=np.array(
                 [row.cause[0] is Fault.DRIVE_LOST and row.shift == -1.0 for row in rows]
             ),
+            crosses=np.array([row.crosses for row in rows]),
+            follows=follows,
         )
 
     def _masses(self, rows: list[ChangeRow]) -> list[float]:
         """Prior probabilities that a row begins now: in an hour one cause does, in one of its rows."""
-        onsets = len(self._causes) * _HOUR / EVERY
-        weights = {cause: self._weight_of(cause) for cause in self._causes}
-        return [math.exp(-row.price) / weights[row.cause] / onsets for row in rows]
+        causes = int(np.count_nonzero(~self._crosses))
+        onsets = causes * _HOUR / EVERY
+        weights = {
+            explanation: self._weight_of(explanation)
+            for explanation in self._explanations
+        }
+        return [
+            math.exp(-row.price) / weights[row.explanation] / onsets for row in rows
+        ]
 
-    def _weight_of(self, cause: PlacedFault) -> float:
-        """Sum of the weights of a cause's rows, which share its probability."""
-        return sum(math.exp(-row.price) for row in self.rows if row.cause == cause)
+    def _weight_of(self, explanation: Explanation) -> float:
+        """Sum of the weights of an explanation's rows, which share its probability."""
+        return sum(
+            math.exp(-row.price) for row in self.rows if row.explanation == explanation
+        )
 
     def push(self, sample: Sample, values: FloatArray, counts: BoolArray) -> None:
         """Take the readings of a sample, and which of them count."""
@@ -241,7 +263,15 @@ class Competition:
             list(zip(*learned, strict=True))
         )
         return Reading(
-            values, counts, repeated, noise, digit, pause, inputs, row
+            values,
+            counts,
+            repeated,
+            noise,
+            digit,
+            pause,
+            inputs,
+            self.healthy.crossing_inputs,
+            row,
         ), variance
 
     def _begin_traces(self, reach: int) -> None:
@@ -258,6 +288,7 @@ class Competition:
             healthy.members.at,
             weights,
             _LEAST_LOG_WEIGHT,
+            healthy.usual_inputs,
             reach,
             self.count,
         )
@@ -288,14 +319,20 @@ class Competition:
             band=band,
         )
 
+    @property
+    def _price_of_hour(self) -> float:
+        """The hour in which a change began has to be said, too: the longer a plant is known, the dearer;
+        nats."""
+        return 2.0 * math.log(1.0 + self.known / _HOUR)
+
     def suspects(self) -> list[Suspect]:
         """Every cause with its evidence, the best first."""
-        # The hour in which a change began has to be said, too: the longer a plant is known, the dearer.
-        price_of_hour = 2.0 * math.log(1.0 + self.known / _HOUR)
+        price_of_hour = self._price_of_hour
         healthy = self.healthy
         suspects = []
-        for cause in np.flatnonzero(self._totals >= _INTERESTING + price_of_hour):
-            trace = int(self._likeliest[cause])
+        is_interesting = self._totals >= _INTERESTING + price_of_hour
+        for place in np.flatnonzero(is_interesting & ~self._crosses):
+            trace = int(self._likeliest[place])
             row = self.rows[trace // _FOLLOWING.slots % len(self.rows)]
             born = int(self._traces.born[trace])
             slowly = row.slowly * healthy.scale
@@ -307,10 +344,10 @@ class Competition:
             )
             shift = float(self._traces.mean[trace])
             error = math.sqrt(self._traces.variance[trace])
-            evidence = float(self._totals[cause]) - price_of_hour
+            evidence = float(self._totals[place]) - price_of_hour
             suspects.append(
                 Suspect(
-                    self._causes[cause],
+                    row.cause,
                     evidence,
                     row,
                     shift * share,
@@ -328,6 +365,13 @@ class Competition:
         suspects.sort(key=lambda suspect: -suspect.evidence)
         self._suspected = bool(suspects) and suspects[0].evidence > 0.0
         return suspects
+
+    @property
+    def crossing(self) -> float:
+        """Evidence that drives act on each other's places in another way than the equations say, nats; −∞ if
+        the plant has one drive."""
+        totals = self._totals[self._crosses]
+        return float(totals.max(initial=-math.inf)) - self._price_of_hour
 
     def frozen(self, output: int, value: float) -> bool:
         """Whether a reading is far from what was expected before it began to repeat itself."""

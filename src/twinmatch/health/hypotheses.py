@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 from twinmatch.dynamics import Model
 from twinmatch.health.faults import EVERY, Fault
@@ -25,8 +25,19 @@ two loops is as likely to be wrong."""
 CREEPS: Final = 5.0
 """Price of a sensor whose reading creeps away within minutes, nats: sensors age over days, and a jump is a
 loose contact; what creeps within minutes is nearly always the plant."""
+CROSSES: Final = 0.2
+"""Share of what the other drives do that may cross in another way than the equations say, 1 σ: half of what
+crosses in a kit whose heaters differ by a factor of two."""
 UNKNOWN: Final = 2.0
 """Price of something unknown that acts as a drive does, nats."""
+
+
+class Explanation(NamedTuple):
+    """What one or several rows stand for."""
+
+    cause: PlacedFault
+    crosses: bool
+    """Whether it is nobody's fault: what acts like the drive comes from the other drives."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +64,19 @@ class ChangeRow:
     """By how much its size may wander within 30 s, as a share: no change has exactly the shape of its row."""
     also: tuple[str, ...] = ()
     """Other numbers that change by the same."""
+    follows: tuple[float, ...] = ()
+    """By how much the number follows each drive from its usual value, for a size of one; empty if it stays
+    as it has changed."""
+
+    @property
+    def crosses(self) -> bool:
+        """Whether it is what the equations lack of the exchange between the loops, which is nobody's fault."""
+        return bool(self.follows)
+
+    @property
+    def explanation(self) -> Explanation:
+        """What it stands for."""
+        return Explanation(self.cause, self.crosses)
 
 
 def rows_of(model: Model) -> list[ChangeRow]:
@@ -68,6 +92,7 @@ def rows_of(model: Model) -> list[ChangeRow]:
         rows += _rows_of_drive(j, drive.limits[1] - drive.limits[0])
     if len(model.plant.drives) > 1:
         rows += _rows_of_supply(len(model.plant.drives))
+        rows += _rows_of_crossing(model)
     for i, output in enumerate(model.plant.outputs.values()):
         rows += _rows_of_sensor(i, output.noise)
     return rows
@@ -131,6 +156,18 @@ def _rows_of_supply(drives: int) -> Iterator[ChangeRow]:
     )
     yield weak
     yield replace(weak, shift=0.3, least=MORE)
+
+
+def _rows_of_crossing(model: Model) -> Iterator[ChangeRow]:
+    """What the other drives do arrives where the j-th one acts, in another way than the equations say."""
+    limits = [drive.limits for drive in model.plant.drives.values()]
+    reaches = [high - low for low, high in limits]
+    for j, reach in enumerate(reaches):
+        follows = [reach / other for other in reaches]
+        follows[j] = 0.0
+        yield ChangeRow(
+            (Fault.DRIFT, j), f"push {j}", spread=CROSSES, follows=tuple(follows)
+        )
 
 
 def _rows_of_sensor(i: int, noise: float) -> Iterator[ChangeRow]:

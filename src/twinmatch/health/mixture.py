@@ -48,6 +48,19 @@ AHEAD: Final = (1.0, 5.0, 15.0, 30.0, 60.0, 120.0)
 """How far ahead is forecast, s."""
 
 
+class _Crossing(Rule):
+    """How what one drive does arrives where another one acts, in another way than the equations say."""
+
+    lag: float = 30.0
+    """Time constant with which it arrives, s: it passes another body first, as the heat of a heater does."""
+    usual: float = 120.0
+    """Time over which an input is averaged to know what it has been lately, s: longer than a step of a loop
+    lasts."""
+
+
+_CROSSING: Final = _Crossing()
+
+
 class _ForecastRecord(Rule):
     """How the forecasts of a mixture are scored."""
 
@@ -246,6 +259,10 @@ class HealthyMixture:
     def restart(self) -> None:
         """Start over after a gap, keeping what was learned about the plant."""
         self._inputs: FloatArray | None = None  # the newest first
+        self.usual_inputs = np.zeros(self._model.rest.size)
+        """What each input has been lately, shape (m,)."""
+        self.crossing_inputs = np.zeros(self._model.rest.size)
+        """What of each input arrives at the places of the other drives, shape (m,)."""
         self._behind = np.zeros((self._lagging.size, self._model.rest.size))
         self.forget_newest()
         self._again = True
@@ -308,9 +325,15 @@ class HealthyMixture:
         if self._inputs is None:
             self._behind[:] = u
             self._inputs = np.tile(u, (self._late.max() + 1, 1))
+            self.usual_inputs[:] = u
+            self.crossing_inputs[:] = u
         self._inputs[1:] = self._inputs[:-1].copy()
         self._inputs[0] = u
         self._behind += (u - self._behind) * self._lagging
+        lag = max(1.0, _CROSSING.lag * self.second)
+        self.crossing_inputs += (u - self.crossing_inputs) / lag
+        recent = max(1.0, _CROSSING.usual * self.second)
+        self.usual_inputs += (u - self.usual_inputs) / recent
         return np.vstack([self._inputs[self._late], self._behind])
 
     def weigh(self, walked: float) -> float:
