@@ -155,7 +155,12 @@ def test_verify_and_play_admit_the_matches_that_a_law_on_estimates_left(
     admitted = [verdict.reason for verdict in recorded if verdict.match == ADMITTED]
     assert len(admitted) == 1, live.text
     assert len(refused) == 2, live.text
-    assert all("the law ran on an estimate until" in reason for reason in refused)
+    # On a busy machine the estimate may reach the law only behind the first of the two windows.
+    assert "the law ran on an estimate until" in refused[-1]
+    of_estimate_or_lie = (
+        r"the law ran on an estimate until|the readings of \w+ were off from"
+    )
+    assert all(re.search(of_estimate_or_lie, reason) for reason in refused), refused
     verification = verify_session(run)
     assert verification.identical, verification.difference
     played = processes.python(
