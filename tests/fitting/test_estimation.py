@@ -20,6 +20,7 @@ from twinmatch.dynamics import Parameters
 from twinmatch.fitting import FittingError, Match, estimate, estimate_ladder, match
 from twinmatch.fitting.estimation import (
     Estimate,
+    Uncertainty,
     on_bounds,
     solve,
     starts_for,
@@ -549,3 +550,39 @@ def test_sixty_samples_are_enough_for_the_ladder() -> None:
     assert {model.period for model in models.values()} == {0.5}
     assert models["22221"].n_samples == 60
     assert models["55551"].n_parameters == 20
+
+
+@given(st.integers(0, 2**31), st.integers(2, 7), st.integers(1, 3), st.booleans())
+def test_what_is_held_leaves_the_others_with_the_variance_that_they_have(
+    seed: int, n: int, hidden: int, prefer_last: bool
+) -> None:
+    """Parameters of a linear model, of which some are copies of others: only their sums show."""
+    random = np.random.default_rng(seed)
+    slopes = random.normal(size=(40, n))
+    copied = random.integers(0, n, hidden).tolist()
+    jacobian = np.hstack([slopes, slopes[:, copied]])
+    fisher = jacobian.T @ jacobian
+    size = n + hidden
+    eigenvalues, directions = np.linalg.eigh(fisher)
+    known = Uncertainty(
+        fisher=fisher,
+        scores=fisher,
+        scales=np.ones(size),
+        eigenvalues=np.maximum(eigenvalues, 0.0),
+        directions=directions,
+        condition=float("inf"),
+        covariance=np.full_like(fisher, np.inf),
+    )
+    first = range(n, size) if prefer_last else ()
+    held = known.hidden(first).held
+    assert len(set(held)) == hidden
+    if prefer_last:
+        assert sorted(held) == [*first]
+    assert sorted(known.hidden().concerned) == sorted({*copied, *range(n, size)})
+    others = [i for i in range(n) if i not in copied]
+    shown = known.covariance_of_shown
+    assert np.isinf(np.diag(shown)[[*copied, *range(n, size)]]).all()
+    alone = np.linalg.inv(slopes.T @ slopes)
+    np.testing.assert_allclose(
+        shown[np.ix_(others, others)], alone[np.ix_(others, others)], rtol=1e-6
+    )

@@ -123,16 +123,24 @@ def _hidden(
     has_no_effect = ~(eigenvalues > _ROUNDING * eigenvalues[-1])
     combinations = directions[:, has_no_effect]
     concerned = np.linalg.norm(combinations, axis=1) > _CONCERNED
+    return Hidden(_one_of_each(combinations, first), np.flatnonzero(concerned).tolist())
+
+
+def _one_of_each(combinations: FloatArray, first: Sequence[int]) -> list[int]:
+    """Places of parameters, one for each combination, which are columns; those at `first` before others.
+
+    Each is the largest of its combination, and is then eliminated from the rest of them.
+    """
     held: list[int] = []
     while combinations.shape[1]:
-        one = combinations[:, 0]
-        shares = np.abs(one)
-        preferred = [i for i in first if shares[i] > _CONCERNED]
-        place = max(preferred or range(one.size), key=lambda i: float(shares[i]))
+        combination = combinations[:, 0]
+        sizes = np.abs(combination).tolist()
+        preferred = [i for i in first if sizes[i] > _CONCERNED]
+        place = max(preferred or range(len(sizes)), key=sizes.__getitem__)
         held.append(place)
-        others = combinations[:, 1:]
-        combinations = others - np.outer(one, others[place] / one[place])
-    return Hidden(held, np.flatnonzero(concerned).tolist())
+        rest = combinations[:, 1:]
+        combinations = rest - np.outer(combination, rest[place] / combination[place])
+    return held
 
 
 @dataclass(frozen=True, eq=False)
