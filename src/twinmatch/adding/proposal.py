@@ -29,6 +29,7 @@ from twinmatch.importing.mapped import (
     without_impossible,
     without_marks,
 )
+from twinmatch.importing.pairs import standard_errors
 from twinmatch.importing.resampling import (
     Kind,
     Resampled,
@@ -246,11 +247,7 @@ def propose(
         bridge=bridge,
         notes=(
             *notes_on_table(table, sources, times),
-            *(
-                ()
-                if model.rests
-                else [_note_on_integration(model.lag, output_name, input_name)]
-            ),
+            *_note_on_integration(model, output_name, input_name),
             *note_on_period(lag_of_period, resampled.period, period),
         ),
     )
@@ -293,13 +290,15 @@ def notes_on_table(
     return (*table.notes, *notes_on_readings(table, sources), *of_times)
 
 
-def _note_on_integration(lag: float, output: str, drive: str) -> str:
+def _note_on_integration(model: _FirstOrder, output: str, drive: str) -> list[str]:
     """A note where the output seems to move on as long as the input acts."""
-    return (
+    if model.rests:
+        return []
+    return [
         f"The recording does not show at which level {output} would rest under a constant {drive}: the lag of "
-        f"{lag:.3g} s is a guess. If {output} moves on as long as {drive} acts, as an angle does, write its rate "
-        "without `- self.inner`."
-    )
+        f"{model.lag:.3g} s is a guess. If {output} moves on as long as {drive} acts, as an angle does, write its "
+        "rate without `- self.inner`."
+    ]
 
 
 def note_on_period(lag: float, row_period: float, period: float) -> list[str]:
@@ -580,22 +579,13 @@ def _of_blocks(
     back = -float(by_output)
     if not (0.0 < back < 1.0 and abs(by_input) > 0):
         return None
-    error = _error_of_second(table, changes - table @ coefficients)
+    error = float(standard_errors(table, changes - table @ coefficients)[1])
     return _rounded_model(
         float(by_input) / back,
         -period / math.log1p(-back),
         float(constant) / back,
         rests=back > _BLOCKS.sure * error,
     )
-
-
-def _error_of_second(table: FloatArray, left: FloatArray) -> float:
-    """Standard error of the second coefficient of a regression that left these residuals."""
-    scales = np.maximum(np.linalg.norm(table, axis=0), np.finfo(np.float64).tiny)
-    scaled = table / scales
-    variance = float(left @ left) / max(left.size - table.shape[1], 1)
-    covariance = variance * np.linalg.pinv(scaled.T @ scaled, hermitian=True)
-    return float(np.sqrt(covariance[1, 1])) / float(scales[1])
 
 
 def _rounded_model(

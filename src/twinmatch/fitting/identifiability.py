@@ -325,14 +325,11 @@ def _keep(
         free=tuple(n for n in problem.free if n not in kept),
         base=problem.experiment.parameters_at(found.values).replace(**kept),
     )
-    refit = solve(
-        reduced, [np.delete(found.values, places), *starts_for(reduced, reduced.base)]
-    )
-    values = found.values.copy()
+    others = [i for i in range(found.values.size) if i not in places]
+    refit = solve(reduced, [found.values[others], *starts_for(reduced, reduced.base)])
+    values = np.empty_like(found.values)
     values[places] = [*kept.values()]
-    is_fitted = np.ones(values.size, dtype=np.bool_)
-    is_fitted[places] = False
-    values[is_fitted] = refit.values
+    values[others] = refit.values
     return Estimate(problem, values, refit.converged)
 
 
@@ -349,7 +346,7 @@ def _sentence_on(
     determined = []
     undetermined = []
     for name, interval in zip(problem.names, intervals, strict=True):
-        words = f"{name} ({possible_values(interval)})"
+        words = f"{name} ({_range(interval)})"
         if name in believed:
             determined.append(words)
         else:
@@ -384,8 +381,7 @@ def _best_ratio(problem: Problem, values: FloatArray, covariance: FloatArray) ->
     return text
 
 
-def possible_values(interval: FloatArray) -> str:
-    """An interval, shape (2,), in words."""
+def _range(interval: FloatArray) -> str:
     low, high = interval.tolist()
     if math.isnan(low) or (math.isinf(low) and math.isinf(high)):
         return "any value"

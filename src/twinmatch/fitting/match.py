@@ -454,10 +454,7 @@ def _as_they_are(problem: Problem, found: Match, limits: GateLimits) -> Match:
     What was found, if they do not explain the window.
     """
     values = problem.values_of(problem.base)
-    n_free = len(problem.free)
-    if values.size > n_free:
-        states_alone = replace(problem, free=())
-        values[n_free:] = solve(states_alone, [values[n_free:]]).values
+    values[len(problem.free) :] = _starts_of(problem, problem.base)
     estimate = Estimate(problem, values, converged=True)
     if not estimate.chi2 <= limits.most(problem.law):
         return found
@@ -525,11 +522,15 @@ def _kept_sentence(problem: Problem, found: Identified) -> str:
 
 def _residuals_of(problem: Problem, seen: Problem, rival: Parameters) -> FloatArray:
     """Residuals of given parameters on the window, with initial states fitted to the part before the test."""
-    alone = replace(seen, free=(), base=rival)
-    values = alone.values_of(rival)
-    if values.size:
-        values = solve(alone, [values]).values
-    return replace(problem, free=(), base=rival).residuals(values)
+    starts = _starts_of(seen, rival)
+    return replace(problem, free=(), base=rival).residuals(starts)
+
+
+def _starts_of(problem: Problem, given: Parameters) -> FloatArray:
+    """The unknown initial states that fit a window best with given parameters, shape (s,)."""
+    alone = replace(problem, free=(), base=given)
+    starts = alone.values_of(given)
+    return solve(alone, [starts]).values if starts.size else starts
 
 
 def _fit(problem: Problem, residuals: FloatArray) -> Fit:

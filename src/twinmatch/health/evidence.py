@@ -137,9 +137,11 @@ class Competition:
         numbers = [healthy.numbers[row.number] for row in rows]
         most_others = max(len(row.also) for row in rows)
         also = np.full((len(rows), most_others), -1, dtype=np.int64)
+        follows = np.zeros((len(rows), self._model.rest.size))
         for place, row in enumerate(rows):
             also[place, : len(row.also)] = [healthy.numbers[name] for name in row.also]
-        causes = [self._explanations.index(row.explanation) for row in rows]
+            follows[place, : len(row.follows)] = row.follows
+        explanations = [self._explanations.index(row.explanation) for row in rows]
         rates = [period / (row.slowly * scale) if row.slowly else 0.0 for row in rows]
         lasting = np.array(
             [round(row.lasting * self.second) for row in rows], dtype=np.int64
@@ -147,14 +149,10 @@ class Competition:
         comes_at_once = lasting <= 0
         wanders = np.array([row.wanders for row in rows])
         spread = np.array([row.spread for row in rows])
-        follows = np.zeros((len(rows), self._model.rest.size))
-        for place, row in enumerate(rows):
-            if row.crosses:
-                follows[place] = row.follows
         return ChangeRows(
             number=np.array(numbers, dtype=np.int64),
             also=also,
-            cause=np.array(causes, dtype=np.int64),
+            cause=np.array(explanations, dtype=np.int64),
             rate=np.array(rates),
             wanders=wanders**2 * 2.0 * period / (30.0 * scale),
             diffusion=np.where(

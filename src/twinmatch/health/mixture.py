@@ -330,11 +330,15 @@ class HealthyMixture:
         self._inputs[1:] = self._inputs[:-1].copy()
         self._inputs[0] = u
         self._behind += (u - self._behind) * self._lagging
+        self._average(u)
+        return np.vstack([self._inputs[self._late], self._behind])
+
+    def _average(self, u: FloatArray) -> None:
+        """Follow what the inputs have been lately, and what arrives at the places of other drives."""
         lag = max(1.0, _CROSSING.lag * self.second)
         self.crossing_inputs += (u - self.crossing_inputs) / lag
         recent = max(1.0, _CROSSING.usual * self.second)
         self.usual_inputs += (u - self.usual_inputs) / recent
-        return np.vstack([self._inputs[self._late], self._behind])
 
     def weigh(self, walked: float) -> float:
         """Weigh all by a sample, `walked` without equations; its log-probability if the plant is healthy."""

@@ -433,21 +433,8 @@ def of_all_loops(
 
     `sources` is the guess at one loop, or at one output with several inputs.
     """
-    of_title = {column.title: column for column in columns}
-    inputs = [
-        of_title[title]
-        for signal, source in sources.items()
-        if signal.partition(".")[0] == "input"
-        for title in source.places
-        if title in of_title
-    ]
-    outputs = [
-        of_title[title]
-        for signal, source in sources.items()
-        if signal == "output"
-        for title in source.places
-        if title in of_title
-    ]
+    inputs = _columns_of_role(columns, sources, "input")
+    outputs = _columns_of_role(columns, sources, "output")
     if not inputs or len(outputs) != 1:
         return {}
     further_outputs, further_inputs = _free_signals(columns, sources)
@@ -467,6 +454,20 @@ def of_all_loops(
         several[f"output.{number}"] = SignalSource((output.title,))
         several[f"input.{number}"] = SignalSource((drive.title,))
     return several
+
+
+def _columns_of_role(
+    columns: Sequence[Column], sources: Mapping[str, SignalSource], role: str
+) -> list[Column]:
+    """The columns of the signals of a role, such as `input` and `input.2`, in the order of the guess."""
+    of_title = {column.title: column for column in columns}
+    return [
+        of_title[title]
+        for signal, source in sources.items()
+        if signal.partition(".")[0] == role
+        for title in source.places
+        if title in of_title
+    ]
 
 
 def _free_signals(

@@ -11,7 +11,7 @@ import numpy as np
 from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
-__all__ = ["moving", "share_a_word", "shared_words", "things_in"]
+__all__ = ["moving", "share_a_word", "shared_words", "standard_errors", "things_in"]
 
 
 class _MovingRule(Rule):
@@ -146,9 +146,18 @@ def _effects(means: Sequence[FloatArray]) -> FloatArray:
     coefficients, _, rank, _ = np.linalg.lstsq(table, changes, rcond=None)
     if rank < table.shape[1]:
         return np.zeros(len(means) - 1)
-    left = changes - table @ coefficients
-    variance = float(left @ left) / max(changes.size - table.shape[1], 1)
-    errors = np.sqrt(
-        np.maximum(variance * np.diag(np.linalg.inv(table.T @ table)), 1e-300)
-    )
+    errors = np.maximum(standard_errors(table, changes - table @ coefficients), 1e-150)
     return np.asarray(coefficients[2:] / errors[2:], dtype=np.float64)
+
+
+def standard_errors(table: FloatArray, left: FloatArray) -> FloatArray:
+    """Standard errors of the coefficients of a regression on the columns of a table, shape (N, n), that left
+    these residuals, shape (N,); shape (n,).
+
+    Where columns depend on each other, those of the smallest coefficients.
+    """
+    scales = np.linalg.norm(table, axis=0)
+    scales[scales == 0.0] = 1.0
+    variance = float(left @ left) / max(left.size - table.shape[1], 1)
+    inverse = np.linalg.pinv(table / scales)
+    return np.asarray(np.sqrt(variance) * np.linalg.norm(inverse, axis=1) / scales)
