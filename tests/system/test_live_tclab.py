@@ -124,11 +124,11 @@ def test_both_heaters_are_driven_and_recorded_and_go_to_zero(
 
 
 @pytest.mark.long("drives both heaters of a kit for nine minutes, and plays that")
-def test_verify_and_play_admit_the_matches_that_a_law_on_estimates_left(
+def test_verify_and_play_admit_what_live_admitted_before_a_sensor_was_off(
     processes: Processes, tmp_path: Path
 ) -> None:
-    """Sensor 1 is off from 330 s on, and the law of heater 1 runs on what the twin says it should read; the
-    windows of two later steps are matched by nobody."""
+    """Sensor 1 is off from 330 s on, and might be read through if the twin were trusted; the windows of two
+    later steps are matched by nobody."""
     kit = tmp_path / "kit.yaml"
     kit.write_text(
         "controller:\n  ros__parameters:\n"
@@ -155,12 +155,8 @@ def test_verify_and_play_admit_the_matches_that_a_law_on_estimates_left(
     admitted = [verdict.reason for verdict in recorded if verdict.match == ADMITTED]
     assert len(admitted) == 1, live.text
     assert len(refused) == 2, live.text
-    # On a busy machine the estimate may reach the law only behind the first of the two windows.
-    assert "the law ran on an estimate until" in refused[-1]
-    of_estimate_or_lie = (
-        r"the law ran on an estimate until|the readings of \w+ were off from"
-    )
-    assert all(re.search(of_estimate_or_lie, reason) for reason in refused), refused
+    # Which names the offset gets later depends on the noise, and so on how often the kit was asked.
+    assert all(reason.startswith("not matched: ") for reason in refused), refused
     verification = verify_session(run)
     assert verification.identical, verification.difference
     played = processes.python(

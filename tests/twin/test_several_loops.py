@@ -29,9 +29,9 @@ from twinmatch.dynamics import (
 )
 from twinmatch.offline.judging import terms_from_files
 from twinmatch.plants import TCLabBoth
-from twinmatch.safety.stand_in import LASTING
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Forecaster, Outcome, Twin, TwinSettings
+from twinmatch.twin.stand_ins import StandIns
 
 TRUTH = Heaters.model().parameters()
 LAW = PidLoops.of(
@@ -192,13 +192,16 @@ def test_a_real_kit_is_trusted_in_a_loop_of_another_law(
 
 def kit_on_estimates(loop: Loop, twin: Twin) -> Iterator[tuple[Sample, Outcome]]:
     """A kit whose first loop takes what the twin says T1 should read, as the kit's controller does: from the
-    beginning of the lie, at sample 900, to its end at 1100. T1's set-point steps at 300 and 1200."""
+    beginning of the lie, at sample 900, to its end at 1100. T1's set-point steps often enough that the twin is
+    trusted by then, and at 1200."""
     truth = typical()
     random = np.random.default_rng(5)
     states = begin(truth, [23.0, 23.0])
+    stand_ins = StandIns(("temperature",), 1.0)
     estimates = dict[str, float]()
-    levels = np.repeat([35.0, 45.0, 38.0], [300, 900, 241]).tolist()
-    for k, level in enumerate(levels):
+    levels = [35.0, 45.0, 38.0, 50.0, 40.0, 48.0, 38.0]
+    holds = [150, 150, 150, 150, 150, 450, 241]
+    for k, level in enumerate(np.repeat(levels, holds).tolist()):
         lie = 5.0 if 900 <= k < 1100 else 0.0
         y = readings(truth, states) + 0.04 * random.standard_normal(2) + (lie, 0.0)
         given_to_law = (estimates.get("temperature", math.nan), math.nan)
@@ -207,11 +210,9 @@ def kit_on_estimates(loop: Loop, twin: Twin) -> Iterator[tuple[Sample, Outcome]]
         assert sample is not None
         outcome = twin.push(sample)
         yield sample, outcome
-        estimates = {
-            estimate.signal: estimate.value
-            for estimate in outcome.estimates
-            if estimate.sample - estimate.since >= LASTING
-        }
+        for verdict in outcome.verdicts:
+            stand_ins.take(verdict)
+        estimates = stand_ins.taken_after(sample.index, outcome.estimates)
         states = advance(truth, states, np.array(sample.inputs), 1.0)
 
 

@@ -19,7 +19,6 @@ from twinmatch.fitting import Status
 from twinmatch.fitting.excitation import unexpected_movement, why_not_moved
 from twinmatch.fitting.match import not_determined
 from twinmatch.health import SLOW, Alarm, EstimatedReading, Health, HealthState, Monitor
-from twinmatch.safety.stand_in import LASTING
 from twinmatch.signals import FloatArray, Sample, Signals, Window
 from twinmatch.twin.candidates import CandidatePool, FamilyModels, name_at
 from twinmatch.twin.door import Door
@@ -29,6 +28,7 @@ from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out, one_thr
 from twinmatch.twin.mirror import Residuals, residuals
 from twinmatch.twin.schedule import Schedule, Trigger
 from twinmatch.twin.settings import TwinSettings
+from twinmatch.twin.stand_ins import StandIns
 from twinmatch.twin.structure_fits import watched
 from twinmatch.twin.trust import BandCheck, BandHistory
 
@@ -119,6 +119,7 @@ class Discriminator:
         self._recurring: _Recurring | None = None
         self._begin_health()
         self._begin_candidates()
+        self._stand_ins = self._new_stand_ins()
         self._last_on_estimate: int | None = None
         """Newest sample at which the law took an estimate in place of a reading."""
         self._trials: dict[int, float] = {}
@@ -362,7 +363,7 @@ class Discriminator:
     ) -> Verdict:
         """The verdict in place of one that could not be made."""
         horizons = self.settings.forecasts.horizons
-        return no_verdict(
+        verdict = no_verdict(
             sample,
             window,
             defect,
@@ -370,6 +371,8 @@ class Discriminator:
             horizons=horizons,
             decimals=self.settings.decimals,
         )
+        self._stand_ins.take(verdict)
+        return verdict
 
     def _on_trigger(self, trigger: Trigger) -> list[Verdict]:
         """Judge a window, or request its match."""
@@ -451,23 +454,22 @@ class Discriminator:
         self.forecaster.notes = self._notes()
         return verdicts
 
+    def _new_stand_ins(self) -> StandIns:
+        return StandIns(self.settings.read_through, self.settings.period)
+
     def _taken_by_law(self, sample: Sample) -> Signals | None:
         """The outputs that the law took where sensors are read through; None: those of the sample.
 
-        In place of a reading that has not been believed for a while it takes what was estimated at the sample
-        before.
+        In place of a reading that a trusted twin has not believed for a while it takes what was estimated at
+        the sample before.
         """
-        before_last = LASTING / self.settings.period
-        estimates = {
-            estimate.signal: estimate.value
-            for estimate in self.monitor.estimates
-            if estimate.signal in self.settings.read_through
-            and estimate.sample - estimate.since >= before_last
-        }
-        if not estimates:
+        if self._watched is None:
+            return None
+        taken = self._stand_ins.taken_after(self._watched, self.monitor.estimates)
+        if not taken:
             return None
         self._last_on_estimate = sample.index
-        return tuple(map(estimates.get, self.settings.plant.outputs, sample.outputs))
+        return tuple(map(taken.get, self.settings.plant.outputs, sample.outputs))
 
     def _watch(self, sample: Sample) -> None:
         """Judge the plant's health at a sample; its `news` is an alarm that has just begun or ended."""
@@ -476,6 +478,7 @@ class Discriminator:
             if is_other_session:
                 # to which the indices of alarms and trials do not belong
                 self.monitor = _monitor(self.settings)
+                self._stand_ins = self._new_stand_ins()
                 self._last_on_estimate = None
                 self._trials = {}
                 self._fault_before = None
@@ -565,6 +568,7 @@ class Discriminator:
         except Exception as error:
             return self._no_verdict(known.sample, known.window, self._logged(error))
         self._trusted = verdict.trusted
+        self._stand_ins.take(verdict)
         return verdict
 
     def _known(
