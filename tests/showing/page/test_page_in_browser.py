@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -321,11 +322,13 @@ def test_an_open_tab_comes_back_with_the_server_and_waits(
     assert browser.elsewhere(page.url) == []
     assert browser.driver.title == "twinmatch: Peltier rig"
 
-    def shown() -> bool:
-        graph.session(counted(3))
-        return "sample 2, 2 s" in browser.text
-
-    browser.wait_for(shown, "samples")
+    coming = iter(counted(100_000))
+    # Those before the server reads the topic again are lost.
+    wait_for(
+        lambda: re.search(r"sample \d+, \d+ s", browser.text),
+        "samples",
+        meanwhile=lambda: graph.session([next(coming)], rate=20.0),
+    )
     assert browser.warnings() == []
 
 
