@@ -826,12 +826,7 @@ def test_a_recording_of_several_loops_is_checked_over_all_of_them() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    [
-        FIRST,
-        pytest.param(
-            SECOND, marks=pytest.mark.long("judges one more published run as a whole")
-        ),
-    ],
+    [FIRST, SECOND],
 )
 def test_check_and_verdict_name_the_same_structure(name: str, tmp_path: Path) -> None:
     """Of those that are watched beside a plant; the others are compared by the check alone."""

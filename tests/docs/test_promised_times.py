@@ -322,7 +322,6 @@ def test_the_hot_end_on_its_page_is_matched_trusted_and_broken_when_the_page_say
     assert outcomes.faults["drive-lost"] <= outcomes.faults["drift"] + late
 
 
-@pytest.mark.long("judges forty minutes, or days, of a page's plant")
 def test_the_room_on_its_page_is_trusted_and_its_window_named_when_the_page_says(
     tmp_path: Path,
 ) -> None:

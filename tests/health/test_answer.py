@@ -96,12 +96,7 @@ def test_samples_without_disturbances_have_the_usual_ones() -> None:
 
 @pytest.mark.parametrize(
     "seed",
-    [
-        1,
-        pytest.param(
-            13, marks=pytest.mark.long("three quarters of an hour of one more kit")
-        ),
-    ],
+    [1, 13],
 )
 def test_a_kit_that_answers_sooner_and_more_than_expected_has_its_heater(
     seed: int,

@@ -62,6 +62,7 @@ def missed(samples: list[LoopSample]) -> list[int]:
     return [b.index for a, b in pairwise(samples) if b.index != a.index + 1]
 
 
+@pytest.mark.long("judges a foreign rig live until it has a twin, and verifies that")
 def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
     processes: Processes, attach: Callable[..., Process], tmp_path: Path
 ) -> None:

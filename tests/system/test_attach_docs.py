@@ -41,6 +41,7 @@ def forked(processes: Processes, folder: Path, line: str) -> Process:
     return processes.python(path, *arguments, folder=folder)
 
 
+@pytest.mark.long("follows a whole page, from a rig to a verdict")
 def test_the_page_leads_from_a_rig_to_a_verdict_and_through_a_bag(
     processes: Processes, tmp_path: Path
 ) -> None:

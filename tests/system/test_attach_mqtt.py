@@ -161,6 +161,7 @@ def test_the_page_leads_from_a_room_to_a_verdict_without_ros(
     assert verification.verdicts
 
 
+@pytest.mark.long("a whole graph beside a broker until it has a twin")
 @pytest.mark.ros
 def test_where_ros_is_installed_the_graph_listens_to_the_broker(home: Home) -> None:
     pytest.importorskip(

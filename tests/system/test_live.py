@@ -286,6 +286,7 @@ def forge_samples(listener: Listener) -> int:
     return int(heard[-1].index)
 
 
+@pytest.mark.long("a run beside programs that forge its messages")
 def test_a_forged_clock_costs_the_drive_until_its_fault_is_cleared_and_forged_samples_are_doubted(
     live_run: Callable[..., LiveRun],
 ) -> None:

@@ -31,6 +31,7 @@ from twinmatch.sessions.cdr import decoded
 LIVE = LAUNCH_SCRIPTS / "live.py"
 
 
+@pytest.mark.long("drives a kit for three minutes, and verifies its session")
 def test_a_heater_that_is_lost_is_reported_and_the_session_verifies(
     processes: Processes, tmp_path: Path
 ) -> None:

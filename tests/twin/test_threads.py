@@ -8,12 +8,8 @@ import os
 import subprocess
 import sys
 
-import pytest
-
 from tests.support.places import SHIPPED
 from twinmatch.twin import Outcome
-
-pytestmark = pytest.mark.long("judges the same hours in one, two and four threads")
 
 SAMPLES = 1000
 

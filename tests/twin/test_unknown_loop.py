@@ -90,7 +90,6 @@ def test_the_band_holds_what_it_promises(judged: Judgement) -> None:
     assert np.mean(inside) == pytest.approx(0.93, abs=0.06)
 
 
-@pytest.mark.long("forecasts over three hours of another session, of two kinds")
 @pytest.mark.parametrize("kind", list(RECORDINGS))
 def test_bands_hold_on_samples_of_another_session(kind: str) -> None:
     """Forecasts of the leader five minutes ahead, against the same plant on another day.

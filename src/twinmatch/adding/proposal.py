@@ -200,36 +200,31 @@ def propose(
     disturbance_names = [name for name in signal_map.sources if name not in _KNOWN]
     reading = resampled.columns["output"]
     output_unit = unit_of(table, sources, "output")
-    around = next(
-        (
-            n
-            for n in disturbance_names
-            if alike(unit_of(table, sources, n), output_unit)
-        ),
-        None,
-    )
     drive = signal_values(table, sources, "input")
     drive_range = range_of(drive)
-    centre = 0.0 if around is not None else _centre_of(drive_range)
-    noise, model = _estimated(resampled, disturbance_names, centre)
-    if around is not None:
-        model = model._replace(rest=float(resampled.columns[around].mean()))
+    surroundings = _surroundings(table, sources, disturbance_names)
+    if surroundings is None:
+        centre = _centre_of(drive_range)
+        noise, model = _estimated(resampled, disturbance_names, centre)
+    else:
+        centre = 0.0
+        noise, model = _estimated(resampled, disturbance_names, centre)
+        rest = float(resampled.columns[surroundings].mean())
+        model = model._replace(rest=rest)
     names_in_file: list[str] = []
     output_name = signal_name(sources, "output", names_in_file)
     input_name = signal_name(sources, "input", names_in_file)
     disturbances = disturbance_signals(
         table, sources, disturbance_names, resampled, names_in_file
     )
-    duration = reading.size * resampled.period
     # a lag that is not known says nothing of how fast the output answers
+    duration = reading.size * resampled.period
     lag_of_period = model.lag if model.rests else duration * _OF_AN_INTEGRATOR
     period = signal_map.period or usual_period(lag_of_period, resampled.period)
+    drive_from_centre = [limit - centre for limit in drive_range]
+    output_range = _output_range(reading, drive_from_centre, model)
     return Proposal(
-        output=Signal(
-            output_name,
-            output_unit,
-            *_output_range(reading, [limit - centre for limit in drive_range], model),
-        ),
+        output=Signal(output_name, output_unit, *output_range),
         input=Signal(input_name, unit_of(table, sources, "input"), *drive_range),
         disturbances=tuple(disturbances.values()),
         noise=noise,
@@ -250,6 +245,21 @@ def propose(
             *_note_on_integration(model, output_name, input_name),
             *note_on_period(lag_of_period, resampled.period, period),
         ),
+    )
+
+
+def _surroundings(
+    table: Table, sources: Mapping[str, SignalSource], disturbances: Sequence[str]
+) -> str | None:
+    """The disturbance towards which the output tends without input: the first in its unit, if there is one."""
+    output_unit = unit_of(table, sources, "output")
+    return next(
+        (
+            name
+            for name in disturbances
+            if alike(unit_of(table, sources, name), output_unit)
+        ),
+        None,
     )
 
 

@@ -38,6 +38,7 @@ return ['output', 'output_2', 'control_2', 'residual', 'control_residual_2'].fla
 """The charts whose legend is cut, or reaches over the charts beside them."""
 
 
+@pytest.mark.long("a page of two loops in a browser, at three widths")
 def test_two_signals_are_side_by_side_and_what_one_should_read_is_said(
     page_process: Callable[..., Any], browser: Any, two: Judgement
 ) -> None:
