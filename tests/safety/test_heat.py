@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -534,6 +535,22 @@ def test_the_estimate_follows_a_plate_that_no_sensor_shows_any_longer() -> None:
         states = integrated(truth, states, drive, 1.0)
     # Learned from noise of 0.1 °C over 1080 s; what is left is a model that is linear in its parameters.
     assert max(map(abs, errors)) < 2.0
+
+
+@pytest.mark.parametrize(("drive", "is_wider"), [(160.0, False), (255.0, True)])
+def test_the_further_a_drive_takes_a_plate_the_less_its_temperature_is_known(
+    drive: float, is_wider: bool
+) -> None:
+    """Beyond the least band, of 9 °C, it is three standard deviations of the plants that it may be, which differ
+    in what the drive does by a third: those of the 12 °C that full drive takes seconds for are more."""
+    observer = RIG.bridge.observer(RIG.bridge.LIMITS)
+    told = (observer.take(1.0 if k else 0.0, drive, 25.0) for k in range(60))
+    message = next(filter(None, told))
+    band = re.search(r"± (\d+) °C", message)
+    assert band is not None
+    least = observer.limits.band
+    assert (float(band[1]) > 1.2 * least) is is_wider
+    assert float(band[1]) >= least
 
 
 def test_a_long_silence_begins_again_and_a_fast_clock_is_followed() -> None:

@@ -22,7 +22,7 @@ from twinmatch.sessions.messages import SAMPLE, Message
 from twinmatch.settings import Rule
 from twinmatch.signals import NANOSECONDS, Sample
 
-_AROUND: Final = 64
+AROUND: Final = 64
 """Sound messages before and after a damaged part that are compared with it."""
 _MOST: Final = 1000
 """Messages that are compared at once."""
@@ -47,7 +47,7 @@ def mended(
 
     Messages that are sound are not changed.
     """
-    before: deque[Message] = deque(maxlen=_AROUND)
+    before: deque[Message] = deque(maxlen=AROUND)
     waiting: list[Message] = []
     behind = 0
     for message in messages:
@@ -57,7 +57,7 @@ def mended(
             continue
         waiting.append(message)
         behind = behind + 1 if message.is_sound else 0
-        if behind == _AROUND or len(waiting) == _MOST:
+        if behind == AROUND or len(waiting) == _MOST:
             yield from _released(before, waiting, on_drop)
             before.extend(waiting)
             waiting = []
