@@ -278,6 +278,18 @@ def test_what_is_not_a_law_is_refused(make: Callable[[], object], message: str) 
         make()
 
 
+def test_two_levels_may_switch_both_above_the_set_point() -> None:
+    """As a thermostat with an offset does."""
+    law = TwoLevel(0.0, 1.0, below=-0.5, above=1.5)
+    off = Controller(law, [0.0, 100.0, 21.0])
+    assert [off.step(20.0, output)[0] for output in (20.4, 20.6, 21.4, 21.6)] == [
+        1.0,
+        1.0,
+        1.0,
+        0.0,
+    ]
+
+
 def lqg_with(**changes: Array) -> LinearLaw:
     arguments = {
         "A": np.eye(4), "B": np.zeros((4, 2)), "C": np.zeros((2, 4)), "D": np.zeros((2, 2)),

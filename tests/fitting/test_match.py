@@ -47,9 +47,11 @@ from twinmatch.fitting.estimation import (
     starts_for,
     uncertainty,
 )
+from twinmatch.fitting.match import explaining
 from twinmatch.fitting.problem import Noise, Problem
-from twinmatch.plants import Peltier
+from twinmatch.plants import Peltier, TCLab
 from twinmatch.signals import FloatArray, Window
+from twinmatch.twin import TwinSettings
 
 Recorder = Callable[..., Window]
 
@@ -779,3 +781,22 @@ def test_a_prior_that_is_right_makes_windows_that_show_little_agree(
         spread[name] = np.std([errors(a_match) for a_match in matches], axis=0)
     assert (spread["with"] <= 0.6 * spread["without"]).all()
     assert (spread["with"] <= 0.1).all()
+
+
+@pytest.mark.parametrize(
+    ("sensor_lag", "most_justified"), [(2.0, "no lag"), (5.0, "sensor lag")]
+)
+def test_of_two_structures_that_explain_a_window_the_larger_must_explain_more(
+    sensor_lag: float, most_justified: str
+) -> None:
+    """A lag of a few samples leaves hardly more than noise where it is left out; a longer one shows."""
+    kit = TCLab.model("sensor lag").typical().replace(sensor_lag=sensor_lag)
+    law = TwinSettings.of(TCLab).law
+    reference = np.repeat([35.0, 45.0], [60, 340])
+    run = simulate_closed_loop(kit, reference, states=begin(kit, 25.0), law=law)
+    noise = 0.12 * np.random.default_rng(1).standard_normal(run.outputs.shape)
+    window = Window(reference, run.outputs + noise, run.inputs)
+    starts = [TCLab.model(name).typical() for name in ("no lag", "sensor lag")]
+    justified = explaining(window, starts, TwinSettings.of(TCLab).noise, law)
+    assert len(justified) == 2
+    assert justified[0].model.structure_name == most_justified

@@ -269,7 +269,7 @@ def _clearance(height: FloatArray, angle: FloatArray, t: float) -> float:
 
 
 @compiled
-def _cubic_top(f: float, f_end: float, slope: float, slope_end: float) -> float:
+def cubic_top(f: float, f_end: float, slope: float, slope_end: float) -> float:
     """Largest value of a Hermite cubic on [0, 1]."""
     top = max(f, f_end)
     square = 3 * (f_end - f) - 2 * slope - slope_end
@@ -277,10 +277,12 @@ def _cubic_top(f: float, f_end: float, slope: float, slope_end: float) -> float:
     discriminant = square * square - 3 * cube * slope
     if discriminant < 0:
         return top
-    below = math.sqrt(discriminant) - square
-    if below == 0:
-        return top
-    x = slope / below
+    root = math.sqrt(discriminant)
+    # Of two forms of the place with the largest value, the one in which no digits cancel.
+    if square <= 0:
+        x = slope / (root - square) if root > square else 0.0
+    else:
+        x = -(root + square) / (3 * cube) if cube != 0 else 0.0
     if 0 < x < 1:
         top = max(top, f + x * (slope + x * (square + x * cube)))
     return top
@@ -338,10 +340,10 @@ def highest(
             if h < MIN_LENGTH or halvings > MAX_HALVINGS or waiting > STACK - 3:
                 continue
             h *= 0.5
-            if _cubic_top(fm, fb, h * dm, h * db) > bar:
+            if cubic_top(fm, fb, h * dm, h * db) > bar:
                 _put(todo[waiting], m, b, fm, fb, dm, db)
                 waiting += 1
-            if _cubic_top(fa, fm, h * da, h * dm) > bar:
+            if cubic_top(fa, fm, h * da, h * dm) > bar:
                 _put(todo[waiting], a, m, fa, fm, da, dm)
                 waiting += 1
     return best, place
