@@ -112,7 +112,9 @@ class Durations:
         self._computed_before = processor_seconds()
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        self.costs.add(report.nodeid, Cost(report.duration, report.computed))  # type: ignore[attr-defined]
+        # The report of a worker that died is made by the process that lists the results.
+        computed = getattr(report, "computed", 0.0)
+        self.costs.add(report.nodeid, Cost(report.duration, computed))
 
     def pytest_terminal_summary(
         self, terminalreporter: pytest.TerminalReporter

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.durations import Cost, Costs, files_that_grew, processor_seconds
+from tests.support.places import PROJECT
 
 
 def test_processes_that_still_run_and_their_children_count() -> None:
@@ -51,6 +53,35 @@ def test_what_a_test_took_is_kept(tmp_path: Path) -> None:
     part.write(tmp_path / "folder" / "took.json")
     both = Costs.read(tmp_path / "folder" / "took.json")
     assert both.by_test == costs.by_test | part.by_test
+
+
+def test_a_test_that_ends_its_process_is_named(tmp_path: Path) -> None:
+    """Its report comes from another process, which knows nothing of what it took."""
+    (tmp_path / "conftest.py").write_text(
+        "from pathlib import Path\n"
+        "import tests.conftest as ours\n"
+        "ours.TOOK = Path(__file__).with_name('took.json')\n"
+        "pytest_addoption = ours.pytest_addoption\n"
+        "def pytest_configure(config):\n"
+        "    config.pluginmanager.register(ours.Durations())\n"
+    )
+    (tmp_path / "test_dies.py").write_text(
+        "import os, signal\n"
+        "def test_dies():\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    options = ("-n", "1", "--max-worker-restart", "0", "-c", os.devnull, "--rootdir")
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, tmp_path, tmp_path],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(PROJECT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 1, run.stdout
+    assert "crashed while running 'test_dies.py::test_dies'" in run.stdout
+    assert "INTERNALERROR" not in run.stdout + run.stderr
 
 
 @pytest.mark.parametrize("machine", [1.0, 3.0])
