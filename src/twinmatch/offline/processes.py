@@ -8,9 +8,9 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Final, ParamSpec, TypeVar
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor, ProcessPoolExecutor
@@ -172,28 +172,3 @@ def beside(*, possible: bool = True) -> Iterator[Beside]:
         return
     with pool(1, forked=True) as second:
         yield Beside(second)
-
-
-_WORKS: list[Callable[[], Any]] = []
-"""What `results_of` is about: a second process inherits it, and is given places in it only."""
-
-
-def results_of(works: Sequence[Callable[[], R]], *, possible: bool = True) -> list[R]:
-    """What each of some works gives, in their order; a second process, if it is `possible`, does some.
-
-    It begins with the first, and this process with the last.
-    """
-    _WORKS[:] = works
-    try:
-        with beside(possible=possible) as second:
-            awaited = [
-                second.give(_inherited_result, place) for place in range(len(works))
-            ]
-            last_first: list[R] = [result() for result in reversed(awaited)]
-    finally:
-        _WORKS.clear()
-    return last_first[::-1]
-
-
-def _inherited_result(place: int) -> Any:
-    return _WORKS[place]()

@@ -17,7 +17,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.forecasting import Forecast
 from twinmatch.offline.backtest import Backtest
 from twinmatch.offline.judging import Judgement
-from twinmatch.offline.processes import results_of
+from twinmatch.offline.processes import Beside
 from twinmatch.offline.summary import shown_twin
 from twinmatch.showing.family import Member, chosen_score
 from twinmatch.showing.figures.drawing import save, svg
@@ -70,12 +70,11 @@ def pictures(
     judgement: Judgement,
     members: Sequence[Member],
     tests: Sequence[Backtest],
-    *,
-    beside: bool = False,
+    work: Beside,
 ) -> dict[str, Picture]:
     """All figures of a session and its family, by name and in the order of the report.
 
-    `beside`: whether a second process, a copy of this one, may draw some of them.
+    `work` draws some of them, if it has a second process.
     """
     planned = [*_of_session(judgement)]
     for k, tested in enumerate(tests):
@@ -84,13 +83,9 @@ def pictures(
         )
     planned += _of_family(judgement, members)
     queue = sorted(planned, key=lambda picture: _QUEUE.get(picture.name, 0))
-    documents = results_of(
-        [partial(_svg, picture.draw) for picture in queue], possible=beside
-    )
-    drawn = {
-        picture.name: document
-        for picture, document in zip(queue, documents, strict=True)
-    }
+    tasks = [(picture.name, work.give(_svg, picture.draw)) for picture in queue]
+    # this process begins with the last
+    drawn = {name: result() for name, result in reversed(tasks)}
     return {
         picture.name: replace(picture, svg=drawn[picture.name]) for picture in planned
     }

@@ -36,6 +36,7 @@ from twinmatch.offline.judging import (
     recorded_terms,
     terms_from_files,
 )
+from twinmatch.offline.processes import Beside, beside
 from twinmatch.offline.verification import compare, holds_verdicts
 from twinmatch.parameters.twin import table_of, values_of
 from twinmatch.sessions import Session
@@ -456,19 +457,17 @@ def build_report(
     *,
     command: str = "from Python",
     made: datetime | None = None,
-    beside: bool = False,
+    work: Beside | None = None,
 ) -> SessionReport:
-    """Build the report of a judged session; `path` is where the session was read from.
-
-    `beside`: whether a second process, a copy of this one, may draw some of the figures.
-    """
+    """Build the report of a judged session; `path` is where the session was read from, `work` draws some of
+    the figures."""
     judgement = judged.judgement
     last = last_verdict(judgement.verdicts)
     settings = judgement.settings
     members = family(
         judgement.samples, judgement.matches, last, settings, judgement.models
     )
-    drawn = pictures(judgement, members, judged.tests, beside=beside)
+    drawn = pictures(judgement, members, judged.tests, work or Beside())
     made = made or datetime.now().astimezone()
     return SessionReport(
         judged, members, drawn, provenance(path, settings, command, made)
@@ -522,12 +521,8 @@ def make_report(
     terms, why_incomparable = _terms(session, config, candidates)
     judged = _judge(session, terms, why_incomparable, peers=peers, watch=watch)
     _load_what_draws_and_is_drawn(judged)
-    report = build_report(
-        judged,
-        path,
-        command=command,
-        beside=second and portable(terms.settings.plant),
-    )
+    with beside(possible=second and portable(terms.settings.plant)) as work:
+        report = build_report(judged, path, command=command, work=work)
     return replace(
         report, memory=tuple(memory_words(terms.settings.plant, memory, rig))
     )
