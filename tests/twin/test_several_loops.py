@@ -31,7 +31,7 @@ from twinmatch.offline.judging import terms_from_files
 from twinmatch.plants import TCLabBoth
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Forecaster, Outcome, Twin, TwinSettings
-from twinmatch.twin.stand_ins import StandIns
+from twinmatch.twin.law_on_estimates import LawOnEstimates
 
 TRUTH = Heaters.model().parameters()
 LAW = PidLoops.of(
@@ -197,7 +197,7 @@ def kit_on_estimates(loop: Loop, twin: Twin) -> Iterator[tuple[Sample, Outcome]]
     truth = typical()
     random = np.random.default_rng(5)
     states = begin(truth, [23.0, 23.0])
-    stand_ins = StandIns(("temperature",), 1.0)
+    law = LawOnEstimates(("temperature",), 1.0)
     estimates = dict[str, float]()
     levels = [35.0, 45.0, 38.0, 50.0, 40.0, 48.0, 38.0]
     holds = [150, 150, 150, 150, 150, 450, 241]
@@ -211,8 +211,8 @@ def kit_on_estimates(loop: Loop, twin: Twin) -> Iterator[tuple[Sample, Outcome]]
         outcome = twin.push(sample)
         yield sample, outcome
         for verdict in outcome.verdicts:
-            stand_ins.take(verdict)
-        estimates = stand_ins.taken_after(sample.index, outcome.estimates)
+            law.take(verdict)
+        estimates = law.taken_after(sample.index, outcome.estimates)
         states = advance(truth, states, np.array(sample.inputs), 1.0)
 
 

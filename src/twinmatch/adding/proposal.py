@@ -202,21 +202,17 @@ def propose(
     output_unit = unit_of(table, sources, "output")
     drive = signal_values(table, sources, "input")
     drive_range = range_of(drive)
-    surroundings = _surroundings(table, sources, disturbance_names)
-    if surroundings is None:
-        centre = _centre_of(drive_range)
-        noise, model = _estimated(resampled, disturbance_names, centre)
-    else:
-        centre = 0.0
-        noise, model = _estimated(resampled, disturbance_names, centre)
-        rest = float(resampled.columns[surroundings].mean())
-        model = model._replace(rest=rest)
     names_in_file: list[str] = []
     output_name = signal_name(sources, "output", names_in_file)
     input_name = signal_name(sources, "input", names_in_file)
     disturbances = disturbance_signals(
         table, sources, disturbance_names, resampled, names_in_file
     )
+    around = around_of(output_unit, disturbances, resampled.columns)
+    centre = 0.0 if around is not None else _centre_of(drive_range)
+    noise, model = _estimated(resampled, disturbance_names, centre)
+    if around is not None:
+        model = model._replace(rest=float(around.values.mean()))
     # a lag that is not known says nothing of how fast the output answers
     duration = reading.size * resampled.period
     lag_of_period = model.lag if model.rests else duration * _OF_AN_INTEGRATOR
@@ -248,19 +244,21 @@ def propose(
     )
 
 
-def _surroundings(
-    table: Table, sources: Mapping[str, SignalSource], disturbances: Sequence[str]
-) -> str | None:
-    """The disturbance towards which the output tends without input: the first in its unit, if there is one."""
-    output_unit = unit_of(table, sources, "output")
-    return next(
-        (
-            name
-            for name in disturbances
-            if alike(unit_of(table, sources, name), output_unit)
-        ),
-        None,
-    )
+class Around(NamedTuple):
+    """What an output tends to without inputs, and its values, shape (N,)."""
+
+    signal: Signal
+    values: FloatArray
+
+
+def around_of(
+    unit: str, disturbances: Mapping[str, Signal], columns: Mapping[str, FloatArray]
+) -> Around | None:
+    """The first disturbance of the kind of an output with this unit; None without one."""
+    for name, disturbance in disturbances.items():
+        if alike(disturbance.unit, unit):
+            return Around(disturbance, columns[name])
+    return None
 
 
 def disturbance_signals(

@@ -7,7 +7,7 @@ disturbances), by least squares over blocks of samples long enough to move furth
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,8 +15,9 @@ import numpy as np
 
 from twinmatch.adding.noise import noise_of
 from twinmatch.adding.proposal import (
+    Around,
     Signal,
-    alike,
+    around_of,
     by_names_in_file,
     disturbance_signals,
     is_signal,
@@ -130,7 +131,7 @@ def propose_several(
     for name in names.outputs:
         unit = unit_of(table, sources, name)
         signal = Signal(signal_name(sources, name, names_in_file), unit, 0.0, 0.0)
-        around = _around(unit, disturbances, columns)
+        around = around_of(unit, disturbances, columns)
         outputs.append(
             _lagged(
                 signal,
@@ -177,23 +178,6 @@ class _NamesByRole(NamedTuple):
         return cls(outputs, inputs, [name for name in names if name not in others])
 
 
-def _around(
-    unit: str, disturbances: Mapping[str, Signal], columns: Mapping[str, FloatArray]
-) -> _Around | None:
-    """The first disturbance of the kind of an output with this unit; None without one."""
-    for name, disturbance in disturbances.items():
-        if alike(disturbance.unit, unit):
-            return _Around(disturbance, columns[name])
-    return None
-
-
-class _Around(NamedTuple):
-    """What an output tends to without inputs, and its values, shape (N,)."""
-
-    signal: Signal
-    values: FloatArray
-
-
 def _lagged(
     signal: Signal,
     reading: FloatArray,
@@ -201,7 +185,7 @@ def _lagged(
     inputs: Sequence[Signal],
     *,
     period: float,
-    around: _Around | None,
+    around: Around | None,
 ) -> LaggedOutput:
     """The lag of one output, of its readings, shape (N,), and what moves it: inputs, then disturbances."""
     noise = noise_of(reading, moving)

@@ -22,7 +22,7 @@ from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from std_srvs.srv import Trigger
 
-from twinmatch.comparing import TrustLevel, Verdict
+from twinmatch.comparing import Verdict
 from twinmatch.dynamics import Parameters, Plant
 from twinmatch.errors import TwinmatchError
 from twinmatch.links import Background
@@ -47,6 +47,7 @@ from twinmatch.safety import (
     SafetyClock,
 )
 from twinmatch.signals import Sample, Signals, point_values
+from twinmatch.twin.law_on_estimates import accusation_in
 from twinmatch_msgs.msg import LoopSample, ModelScore
 
 
@@ -520,12 +521,7 @@ class GatedNode(TwinmatchNode):
         self.gate.sample(sample.references, sample.outputs, sample.inputs)
 
     def _on_verdict(self, verdict: Verdict) -> None:
-        accusation = self._accusations.take(
-            verdict.sample,
-            trusted=verdict.level is TrustLevel.TRUSTED,
-            fault=verdict.fault,
-            reason=verdict.reason,
-        )
+        accusation = accusation_in(verdict, self._accusations)
         if accusation is not None and not self.reads_through(verdict):
             self.end(FaultKind.TWIN, accusation)
 

@@ -42,7 +42,7 @@ from twinmatch.safety import (
     ObserverLimits,
     OutputGuard,
     RunawayLimits,
-    StandIn,
+    StandIns,
 )
 from twinmatch_msgs.msg import (
     EstimatedReading,
@@ -194,10 +194,8 @@ class TCLabBridge(GatedNode):
                 f"{self.NAME}: read_through needs plant tclab-both: with one sensor, nothing else says what "
                 "it should read"
             )
-        self._stand_ins = {
-            name: StandIn(name, self.values["highest"], TCLab.output.unit)
-            for name in outputs_named(self.NAME, self.values["read_through"], TCLabBoth)
-        }
+        readable = outputs_named(self.NAME, self.values["read_through"], TCLabBoth)
+        self._stand_ins = StandIns(readable, self.values["highest"], TCLab.output.unit)
         self._link = KitLink(self.values["port"], self.values["deadline"])
 
     def output_guards(self, limits: GuardLimits) -> list[OutputGuard]:
@@ -270,37 +268,36 @@ class TCLabBridge(GatedNode):
         )
 
     def _on_estimate(self, estimate: EstimatedReading) -> None:
-        stand_in = self._stand_ins.get(estimate.signal)
-        if stand_in is not None:
-            stand_in.take(estimate.value, estimate.band, estimate.wide, self.gate.time)
+        self._stand_ins.take(
+            estimate.signal,
+            estimate.value,
+            estimate.band,
+            estimate.wide,
+            self.gate.time,
+        )
 
     def reads_through(self, verdict: Verdict) -> bool:
         """Whether the sensor that is accused may be read through; from now on it is not believed."""
-        stand_in = self._stand_ins.get(verdict.fault_signal)
-        if stand_in is None or verdict.fault not in ACCUSED["sensor"]:
-            return False
-        stand_in.accuse(self.gate.time)
-        return True
+        return self._stand_ins.accuse(
+            verdict.fault_signal, verdict.fault, self.gate.time
+        )
 
     def _on_clear(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         response = super()._on_clear(request, response)
         if response.success:  # somebody vouches for the readings
-            for stand_in in self._stand_ins.values():
-                stand_in.give_back()
+            self._stand_ins.give_back()
         return response
 
     def _on_verdict(self, verdict: Verdict) -> None:
         super()._on_verdict(verdict)
-        for name, stand_in in self._stand_ins.items():
-            if not verdict.fault:
-                stand_in.give_back()
-            elif (
-                stand_in.accused
-                and verdict.fault_signal != name
-                and verdict.fault in ACCUSED["drive"]
-            ):
+        if not verdict.fault:
+            self._stand_ins.give_back()
+        if verdict.fault not in ACCUSED["drive"]:
+            return
+        for name in self._stand_ins.accused:
+            if verdict.fault_signal != name:
                 self.end(
                     FaultKind.TWIN,
                     f"{name} is read through, and the twin reports {verdict.fault}",
@@ -315,8 +312,8 @@ class TCLabBridge(GatedNode):
         if not self._stand_ins:
             return ()
         values = dict.fromkeys(self._plant.outputs, NAN)
-        for name, stand_in in self._stand_ins.items():
-            values[name], trouble = stand_in.look(self.gate.time)
+        for name, (value, trouble) in self._stand_ins.look(self.gate.time).items():
+            values[name] = value
             if trouble:
                 self.end(FaultKind.ESTIMATE, trouble)
         on = " and ".join(

@@ -5,7 +5,7 @@ reach the driver. It is fed by `SafetyClock`, a time that only runs forward, and
 does: `Runaway` checks that the plate follows the drive, `HeatBudget` that no more drive passes than the
 reading explains, `DriveObserver` that the sensor reads what the drive must have done; its `Ceiling` limits
 drive that takes the plant beyond set-point and reading. `Accusations` acts on what a trusted twin says, and
-`StandIn` lets its estimate stand in for a sensor where an operator has allowed it. `LawTrial` watches a law
+`StandIns` lets its estimate stand in for a sensor where an operator has allowed it. `LawTrial` watches a law
 that an operator wants to try, and says when the law before is to drive again; `nominal_eigenvalue` is what
 can be said of that law without a twin. `Turn` lets one experiment or one law on trial move the plant at a
 time.
@@ -24,7 +24,7 @@ from twinmatch.safety.guard import (
 from twinmatch.safety.nominal import nominal_eigenvalue
 from twinmatch.safety.observer import DriveObserver, ObserverLimits
 from twinmatch.safety.runaway import Runaway, RunawayLimits
-from twinmatch.safety.stand_in import StandIn, StandInState
+from twinmatch.safety.stand_in import StandIn, StandIns, StandInState
 from twinmatch.safety.trial import (
     LawReport,
     LawTrial,
@@ -54,6 +54,7 @@ __all__ = [
     "SafetyClock",
     "StandIn",
     "StandInState",
+    "StandIns",
     "TrialBands",
     "TrialError",
     "TrialPhase",

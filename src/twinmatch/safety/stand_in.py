@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Final, NamedTuple
+
+from twinmatch.safety.accusations import ACCUSED
 
 PATIENCE: Final = 2.0
 """Time without a usable estimate after which nothing says what the sensor should read, s."""
@@ -85,3 +88,45 @@ class StandIn:
             math.nan,
             f"{self._name} is not believed, and {why}; measure it and clear this",
         )
+
+
+class StandIns:
+    """All sensors that an operator has allowed to be read through."""
+
+    def __init__(self, names: Iterable[str], highest: float, unit: str) -> None:
+        """Begin with sensors that are believed; `highest` is the guard's limit, in their unit."""
+        self._of_names = {name: StandIn(name, highest, unit) for name in names}
+
+    def __bool__(self) -> bool:
+        return bool(self._of_names)
+
+    @property
+    def accused(self) -> list[str]:
+        """Names of the sensors that are not believed."""
+        return [name for name, stand_in in self._of_names.items() if stand_in.accused]
+
+    def accuse(self, signal: str, fault: str, now: float) -> bool:
+        """Take an accusation of a trusted twin; returns whether it is of a sensor that may be read through,
+        which is not believed from now on."""
+        stand_in = self._of_names.get(signal)
+        if stand_in is None or fault not in ACCUSED["sensor"]:
+            return False
+        stand_in.accuse(now)
+        return True
+
+    def give_back(self) -> None:
+        """All sensors are believed again."""
+        for stand_in in self._of_names.values():
+            stand_in.give_back()
+
+    def take(
+        self, signal: str, value: float, band: float, wide: float, now: float
+    ) -> None:
+        """Take an estimate of a sensor; see `StandIn.take`."""
+        stand_in = self._of_names.get(signal)
+        if stand_in is not None:
+            stand_in.take(value, band, wide, now)
+
+    def look(self, now: float) -> dict[str, StandInState]:
+        """What the law takes now, by name."""
+        return {name: stand_in.look(now) for name, stand_in in self._of_names.items()}

@@ -24,11 +24,11 @@ from twinmatch.twin.candidates import CandidatePool, FamilyModels, name_at
 from twinmatch.twin.door import Door
 from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.knowledge import Knowledge, MatchResult, no_verdict, verdict_of
+from twinmatch.twin.law_on_estimates import LawOnEstimates
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out, one_thread
 from twinmatch.twin.mirror import Residuals, residuals
 from twinmatch.twin.schedule import Schedule, Trigger
 from twinmatch.twin.settings import TwinSettings
-from twinmatch.twin.stand_ins import StandIns
 from twinmatch.twin.structure_fits import watched
 from twinmatch.twin.trust import BandCheck, BandHistory
 
@@ -119,7 +119,7 @@ class Discriminator:
         self._recurring: _Recurring | None = None
         self._begin_health()
         self._begin_candidates()
-        self._stand_ins = self._new_stand_ins()
+        self._law_on_estimates = self._new_law_on_estimates()
         self._last_on_estimate: int | None = None
         """Newest sample at which the law took an estimate in place of a reading."""
         self._trials: dict[int, float] = {}
@@ -371,7 +371,7 @@ class Discriminator:
             horizons=horizons,
             decimals=self.settings.decimals,
         )
-        self._stand_ins.take(verdict)
+        self._law_on_estimates.take(verdict)
         return verdict
 
     def _on_trigger(self, trigger: Trigger) -> list[Verdict]:
@@ -454,8 +454,8 @@ class Discriminator:
         self.forecaster.notes = self._notes()
         return verdicts
 
-    def _new_stand_ins(self) -> StandIns:
-        return StandIns(self.settings.read_through, self.settings.period)
+    def _new_law_on_estimates(self) -> LawOnEstimates:
+        return LawOnEstimates(self.settings.read_through, self.settings.period)
 
     def _taken_by_law(self, sample: Sample) -> Signals | None:
         """The outputs that the law took where sensors are read through; None: those of the sample.
@@ -465,7 +465,9 @@ class Discriminator:
         """
         if self._watched is None:
             return None
-        taken = self._stand_ins.taken_after(self._watched, self.monitor.estimates)
+        taken = self._law_on_estimates.taken_after(
+            self._watched, self.monitor.estimates
+        )
         if not taken:
             return None
         self._last_on_estimate = sample.index
@@ -478,7 +480,7 @@ class Discriminator:
             if is_other_session:
                 # to which the indices of alarms and trials do not belong
                 self.monitor = _monitor(self.settings)
-                self._stand_ins = self._new_stand_ins()
+                self._law_on_estimates = self._new_law_on_estimates()
                 self._last_on_estimate = None
                 self._trials = {}
                 self._fault_before = None
@@ -568,7 +570,7 @@ class Discriminator:
         except Exception as error:
             return self._no_verdict(known.sample, known.window, self._logged(error))
         self._trusted = verdict.trusted
-        self._stand_ins.take(verdict)
+        self._law_on_estimates.take(verdict)
         return verdict
 
     def _known(
