@@ -69,9 +69,14 @@ class Rig(HeaterRig):
         self.begin()
 
     def drive(self, kit: BenchKit, *powers: float) -> None:
+        """Until the heaters have these powers, and the bridge has said something of the kit."""
         self.sent = list(powers)
         self.listener.spin_until(
-            lambda: kit.heaters[: len(powers)] == list(powers),
+            lambda: (
+                kit.heaters[: len(powers)] == list(powers)
+                and self.readings
+                and self.applied
+            ),
             lambda: f"{powers} %; the bridge says {self.fault!r}",
         )
 
@@ -128,11 +133,10 @@ def test_commands_reach_the_heaters_and_readings_come_back(  # noqa: PLR0917
 ) -> None:
     process = bridge(start_process, kit, *words)
     rig.drive(kit, *sent)
-    assert kit.heaters[1] == 15.0
+    # Its command follows that of the first.
+    rig.until(lambda: kit.heaters[1] == 15.0, "the second heater")
     kit.shown[1] = 33.5
-    rig.until(
-        lambda: rig.readings and list(rig.readings[-1].output) == read[0], "a reading"
-    )
+    rig.until(lambda: list(rig.readings[-1].output) == read[0], "a reading")
     assert list(rig.readings[-1].disturbances) == read[1]
     rig.until(lambda: list(rig.applied[-1].input) == sent, "what was applied")
     assert (rig.applied[-1].sequence, rig.applied[-1].fault) == (7, "")
