@@ -122,10 +122,12 @@ class Process:
     @staticmethod
     def children_of(process: int) -> list[int]:
         """Process ids of what a process has started."""
-        threads = Path(f"/proc/{process}/task").glob("*/children")
-        return [
-            int(child) for thread in threads for child in thread.read_text().split()
-        ]
+        children: list[int] = []
+        for thread in Path(f"/proc/{process}/task").glob("*/children"):
+            # A thread that ends in this moment has none any more.
+            with suppress(FileNotFoundError, ProcessLookupError):
+                children += map(int, thread.read_text().split())
+        return children
 
     def wait_until(
         self, condition: Callable[[], T], what: str, patience: float = PATIENCE

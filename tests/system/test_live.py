@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -106,11 +106,11 @@ class LiveRun:
     def child(self, name: str) -> int | None:
         """Process id of a child."""
         for child in self.process.children:
-            if (
-                Path(f"/proc/{child}/comm").read_text().strip().replace("-", "_")
-                == name
-            ):
-                return child
+            # One that ends in this moment has no name any more.
+            with suppress(FileNotFoundError, ProcessLookupError):
+                title = Path(f"/proc/{child}/comm").read_text().strip()
+                if title.replace("-", "_") == name:
+                    return child
         return None
 
     def shoot(self, name: str) -> int:
