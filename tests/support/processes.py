@@ -124,7 +124,7 @@ class Process:
         """Process ids of what a process has started."""
         children: list[int] = []
         for thread in Path(f"/proc/{process}/task").glob("*/children"):
-            # A thread that ends in this moment has none any more.
+            # A thread that ends in this moment has none left.
             with suppress(FileNotFoundError, ProcessLookupError):
                 children += map(int, thread.read_text().split())
         return children

@@ -106,7 +106,7 @@ class LiveRun:
     def child(self, name: str) -> int | None:
         """Process id of a child."""
         for child in self.process.children:
-            # One that ends in this moment has no name any more.
+            # One that ends in this moment has no name left.
             with suppress(FileNotFoundError, ProcessLookupError):
                 title = Path(f"/proc/{child}/comm").read_text().strip()
                 if title.replace("-", "_") == name:

@@ -224,12 +224,11 @@ def _first_pid(
     print(f"{ground.session.name}: its twin is trusted")
     for line in pid_words(proposed, why_not):
         print(line)
+    gains = None if proposed is None else pid_document(proposed.pid.gains)
+    write_json(options.json, lambda: {"trusted": True, "pid": gains})
     if proposed is None:
         return 3
     _write_pid(proposed, options)
-    write_json(
-        options.json, lambda: {"trusted": True, "pid": pid_document(proposed.pid.gains)}
-    )
     return 0
 
 
