@@ -27,7 +27,7 @@ LEVEL_THREE = [
     "sse4.2",
     "xsave",
 ]
-"""What level 3 of x86-64 adds to the first, by LLVM's names (x86-64 psABI, table 3.1)."""
+"""What distinguishes level 3 from those below, by LLVM's names (x86-64 psABI, table 3.1)."""
 ASK = "import twinmatch.compiled, numba; print(numba.config.CPU_NAME)"
 
 

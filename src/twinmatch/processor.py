@@ -27,7 +27,7 @@ _NEEDED: Final = (
     "sse4.2",
     "xsave",
 )
-"""What that level has and the first one lacks, by LLVM's names (x86-64 psABI, table 3.1)."""
+"""What distinguishes that level from those below, by LLVM's names (x86-64 psABI, table 3.1)."""
 
 
 class Processor(NamedTuple):
