@@ -51,7 +51,8 @@ help:
 	@echo "make demo                 setup, then run the live graph on a virtual rig (SESSION=path plays a session instead)"
 	@echo "make bench                setup and the peers, then compare speeds (BENCH_ARGS='--quick nu_gap' picks)"
 	@echo "make docs                 setup-test, then the pages of docs/ as a site in build/docs"
-	@echo "make dist                 setup, then wheels of twinmatch and its messages in dist/, to install without a clone"
+	@echo "make dist                 setup, then wheels of twinmatch and its messages in dist/, to install without a clone;"
+	@echo "                          with machine code, so that no first run compiles"
 	@echo "make pythons              setup-test and PYTHON_TESTS with each of PYTHONS that is installed, in build/<python>"
 	@echo "make constraints          setup, then today's versions into constraints/; make test says whether they are good"
 	@echo "make clean                remove $(VENV) and everything built"
@@ -88,6 +89,8 @@ docs: setup-test
 dist: setup
 	@rm -rf dist build/lib build/bdist.* $(MESSAGES)/build  # or modules deleted since would be packed
 	@$(RUN) -m pip --quiet wheel --no-build-isolation --no-deps --wheel-dir dist . ./$(MESSAGES)
+	@echo "dist: compiling what a first run would wait for (a minute)"
+	@$(RUN) .ci/ready_wheel.py dist/twinmatch-*.whl
 	@echo "dist: $$(ls dist | tr '\n' ' ')"
 
 pythons:

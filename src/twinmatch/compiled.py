@@ -36,6 +36,7 @@ from numba.core.runtime import rtsys
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.kernel_stamps import OPTIONS, fields_of, hash_of_file, stamp_of
+from twinmatch.processor import COMMON, processor
 
 _NEWEST: Final = (0, 68)
 """The newest numba whose insides are as used here (tests/test_compiled.py); pyproject.toml agrees."""
@@ -61,6 +62,19 @@ def check_version(version: str) -> None:
 
 
 check_version(numba.__version__)
+
+
+def _choose_processor() -> None:
+    """Have numba compile for a common kind of processor, unless its settings name one.
+
+    numba keeps what it has compiled under the processor's name, so code that came with a wheel is found.
+    """
+    is_chosen = numba.config.CPU_NAME is not None
+    if not is_chosen and processor().name == COMMON:
+        numba.config.CPU_NAME, numba.config.CPU_FEATURES = processor()
+
+
+_choose_processor()
 
 
 def start_runtime() -> None:

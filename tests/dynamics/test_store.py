@@ -110,6 +110,20 @@ def test_a_damaged_file_is_compiled_again(
         assert load_afresh().read_bytes() == whole
 
 
+def test_what_a_wheel_brings_is_taken_first_unless_it_is_damaged(
+    load_afresh: Callable[[], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored = load_afresh()
+    shipped = tmp_path / "machine_code"
+    monkeypatch.setattr(store, "SHIPPED", shipped)
+    shipped.mkdir()
+    brought = stored.rename(shipped / stored.name)
+    with pytest.raises(ValueError, match="not enough values"):
+        load_afresh()  # it keeps nothing in the cache
+    brought.write_bytes(brought.read_bytes()[:-1])
+    assert load_afresh().read_bytes()[:-1] == brought.read_bytes()
+
+
 def test_two_programs_may_come_at_once(start: Start, tmp_path: Path) -> None:
     first = start()
     second = start()

@@ -7,8 +7,10 @@ not followed.
 
 from __future__ import annotations
 
+import base64
+import csv
+import hashlib
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -20,10 +22,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import ready_wheel
 
-from tests.support.places import PROJECT
+from tests.support.places import PROJECT, SHIPPED
 from tests.support.processes import Processes
 from tests.support.waiting import PATIENCE
+from twinmatch.plants import PLANTS
 
 pytestmark = [
     pytest.mark.ros,
@@ -32,6 +36,18 @@ pytestmark = [
 
 
 PATIENT = 4 * PATIENCE  # kernels may be compiled first
+FIRST_REPLAY = """
+import sys
+from twinmatch.cli import main
+from twinmatch.compiled import told
+
+if __name__ == "__main__":
+    compiled = []
+    told.append(compiled.append)
+    assert main(["replay", sys.argv[1]]) == 0
+    assert "sympy" not in sys.modules
+    print("compiled:", compiled)
+"""
 OPTIONS = ("--quiet", "--no-deps", "--no-index")
 
 
@@ -45,20 +61,30 @@ def wheel(sources: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of programs of an environment with the wheel in it.
+def ready_wheel_path(wheel: Path) -> Path:
+    """That wheel with machine code; what the checkout has compiled is not compiled again."""
+    assert ready_wheel.main(str(wheel), PROJECT / "src" / "twinmatch") == 0
+    return wheel
 
-    Kernels that are compiled here lie beside its code: that they are compiled there, too, is for others.
-    """
+
+@pytest.fixture(scope="module")
+def installed(ready_wheel_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of programs of an environment with the wheel in it."""
     folder = tmp_path_factory.mktemp("installed")
     venv.create(folder / "env", symlinks=True)
     python = folder / "env" / "bin" / "python"
-    install = ["-m", "pip", "--python", str(python), "install", *OPTIONS, str(wheel)]
+    install = [
+        "-m",
+        "pip",
+        "--python",
+        str(python),
+        "install",
+        *OPTIONS,
+        str(ready_wheel_path),
+    ]
     subprocess.run([sys.executable, *install], check=True)
     (packages,) = (folder / "env" / "lib").glob("python3*/site-packages")
     (packages / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    for kernel_file in (PROJECT / "src" / "twinmatch").rglob("*.nb[ic]"):
-        shutil.copy(kernel_file, packages / kernel_file.relative_to(PROJECT / "src"))
     return folder / "env" / "bin"
 
 
@@ -95,6 +121,38 @@ def test_the_wheel_carries_share_and_profile(wheel: Path) -> None:
         "twinmatch/nodes/fastdds3_loopback.xml",
         "twinmatch/sessions/definitions/LoopSample.msg",
     }
+
+
+def test_the_wheel_lists_its_machine_code(ready_wheel_path: Path) -> None:
+    with zipfile.ZipFile(ready_wheel_path) as archive:
+        names = archive.namelist()
+        (record,) = (name for name in names if name.endswith(".dist-info/RECORD"))
+        rows = list(csv.reader(archive.read(record).decode().splitlines()))
+        for name, digest, size in rows:
+            if name != record:
+                content = archive.read(name)
+                hashed = base64.urlsafe_b64encode(hashlib.sha256(content).digest())
+                assert digest == f"sha256={hashed.rstrip(b'=').decode()}"
+                assert int(size) == len(content)
+    assert sorted(name for name, _, _ in rows) == sorted(names)
+    assert sum(name.endswith(".nbc") for name in names) > 30
+    structures = [s for plant in PLANTS.values() for s in plant.structures.values()]
+    codes = [name for name in names if name.startswith("twinmatch/machine_code/")]
+    assert 20 < len(codes) <= len(structures)
+
+
+def test_a_first_replay_from_the_wheel_compiles_nothing(
+    installed: Path, programs: Processes, tmp_path: Path
+) -> None:
+    script = tmp_path / "first.py"
+    script.write_text(FIRST_REPLAY)
+    cache = tmp_path / "cache"
+    empty = [f"XDG_CACHE_HOME={cache}", f"TWINMATCH_CACHE={cache}"]
+    words = ["env", *empty, installed / "python", script, SHIPPED]
+    process = programs.start(*words, folder=tmp_path)
+    assert process.wait() == 0, process.text
+    assert process.lines[-1] == "compiled: []"
+    assert not list(cache.rglob("*.code"))
 
 
 def test_code_and_files_are_those_of_the_wheel(

@@ -19,6 +19,7 @@ from llvmlite import binding, ir
 
 from twinmatch.dynamics.code import Formulas, PlantFormulas
 from twinmatch.dynamics.declarations import PlantError
+from twinmatch.processor import processor
 
 FUNCTIONS: Final = (
     "constants",
@@ -73,7 +74,7 @@ Values = dict[str, Any]
 
 
 def compiled_object(formulas: PlantFormulas) -> bytes:
-    """Machine code of a plant's functions for this processor.
+    """Machine code of a plant's functions, for `processor()`.
 
     Raises:
         PlantError: an expression cannot be compiled; `derive` lets none through.
@@ -99,19 +100,20 @@ def linked(code: bytes) -> tuple[Any, dict[str, int]]:
     return engine, {name: int(engine.get_function_address(name)) for name in FUNCTIONS}
 
 
-def host() -> str:
-    """The processor for which code is compiled, and the compiler."""
-    features = binding.get_host_cpu_features().flatten()
-    return f"{binding.get_host_cpu_name()} {features} LLVM {binding.llvm_version_info}"
+def target() -> str:
+    """The processor for which code is compiled, and the compiler, in a text."""
+    name, features = processor()
+    return f"{name} {features} LLVM {binding.llvm_version_info}"
 
 
 def _target_machine() -> Any:
     """A new one: an engine owns its own."""
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
+    name, features = processor()
     return binding.Target.from_default_triple().create_target_machine(
-        cpu=binding.get_host_cpu_name(),
-        features=binding.get_host_cpu_features().flatten(),
+        cpu=name,
+        features=features,
         opt=3,
         reloc="pic",
         codemodel="default",

@@ -4,6 +4,8 @@ Its name carries a hash of everything it is made from: the sources of plant and 
 libraries involved, and the processor. So any change gives a new file, and an outdated one is never run. A
 second file has the derived equations in its name instead of the plant's sources: a change of a default, a
 bound or a comment takes that one, and nothing is compiled.
+
+A wheel may bring such files of the plants that come with twinmatch, for a common kind of processor.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from twinmatch.dynamics.code import plant_formulas
 from twinmatch.dynamics.declarations import PlantError
 from twinmatch.dynamics.definition import PlantDefinition
 from twinmatch.dynamics.equations import Derived, derive
-from twinmatch.dynamics.machine import FUNCTIONS, compiled_object, host, linked
+from twinmatch.dynamics.machine import FUNCTIONS, compiled_object, linked, target
 from twinmatch.kept import cache_folder
 
 _HERE = Path(__file__).parent
@@ -43,6 +45,8 @@ _COMPILER = (
     "terms.py",
 )
 _PROGRAMS = ("llvmlite", "sympy")
+SHIPPED: Final = _HERE.parent / "machine_code"
+"""The folder that wheels of `make dist` bring; a checkout has none."""
 
 
 KERNELS: Final = (
@@ -115,10 +119,9 @@ def kernels_of(
     """
     key = (plant, parts, unknown)
     if key not in _LOADED:
-        path = (
-            cache_folder() / f"{plant.name}_{_fingerprint(plant, parts, unknown)}.code"
-        )
-        content = _whole(path)
+        file_name = f"{plant.name}_{_fingerprint(plant, parts, unknown)}.code"
+        path = cache_folder() / file_name
+        content = _whole(SHIPPED / file_name) or _whole(path)
         if content is None:
             content = _code_of_equations(plant.name, derive(plant(), parts, unknown))
             _write_atomically(path, content)
@@ -239,7 +242,7 @@ def _digest_with_compiler(equations: str) -> hashlib._Hash:
 @functools.cache
 def _compiler() -> hashlib._Hash:
     """A hash of the compiler, its libraries and the processor."""
-    digest = hashlib.sha256(repr((sys.version_info[:2], host())).encode())
+    digest = hashlib.sha256(repr((sys.version_info[:2], target())).encode())
     for file in (_HERE / name for name in _COMPILER):
         digest.update(file.read_bytes())
     for program in _PROGRAMS:
