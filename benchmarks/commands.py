@@ -1,4 +1,4 @@
-"""Commands: processor time of the long ones by samples, beside a reference that stays the same.
+"""Commands: processor time of the long ones by samples, in references.
 
 Each command runs in a process of its own, as from the shell, once a round, and its time is that of all its
 processes. The reference is a fixed piece of Python and NumPy, timed in every round, by whose median the times are
@@ -96,10 +96,10 @@ def run(quick: bool) -> list[Row]:
 def reference() -> float:
     """What costs the same in every version: a recursion in Python, and factors of matrices."""
     state = 0.5
-    for _ in range(2_000_000):
+    for _ in range(8_000_000):
         state = 3.7 * state * (1.0 - state)
     matrix = np.random.default_rng(0).normal(size=(200, 200))
-    for _ in range(60):
+    for _ in range(240):
         matrix = np.linalg.qr(matrix)[0]
     return state + float(matrix[0, 0])
 
