@@ -145,6 +145,37 @@ def test_a_plant_without_a_dead_time_keeps_its_intervals() -> None:
     assert "approximated" not in found.determined
 
 
+def test_equations_without_a_dead_time_are_not_derived_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """That takes SymPy, whose import is a large part of a short replay."""
+    asked: list[frozenset[str]] = []
+
+    def counted(plant: Plant, parts: frozenset[str]) -> Equations:
+        asked.append(parts)
+        return plant.equations(parts)
+
+    place = "twinmatch.fitting.approximation.written_equations"
+    readings, switch = switched(5.0, 1.0, rows=100)
+    window = Window(readings, readings, switch, period=PERIOD)
+
+    class Hall(Room, name="hall_behind_a_pipe"):
+        """Of which nothing has been asked."""
+
+        pipe = DeadTime(unit="", span=(0.0, 1.0))
+
+    for structure in ("at once", "late"):
+        start = Hall.model(structure).parameters()
+        free = start.model.structure.free
+        problem = Problem(window, free, start, Noise.of(Hall), None)
+        values = problem.values_of(start)
+        problem.evaluate(values)
+        with monkeypatch.context() as patched:
+            patched.setattr(place, counted)
+            shift_by_dead_times(problem, values)
+    assert asked == [frozenset({"dead time"})]
+
+
 def test_in_a_known_loop_nothing_is_shifted() -> None:
     """The twin's own inputs go through the same chain as the loop that was fitted."""
     readings, _ = switched(5.0, 1.0, rows=100)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.plants import Lag
-from twinmatch.dynamics.movement import InputEffect, effect_of
+from twinmatch.dynamics.movement import ExpectedMovement, InputEffect, effect_of
 from twinmatch.fitting.excitation import (
     expected_movement,
     movement_by_inputs,
@@ -14,6 +14,7 @@ from twinmatch.fitting.excitation import (
     unexpected_movement,
     why_not_moved,
 )
+from twinmatch.plants import TCLabBoth
 from twinmatch.signals import FloatArray, Window
 
 NOISE = Lag.output.noise
@@ -69,6 +70,35 @@ def test_a_plant_so_slow_that_noise_hides_each_step_shows_in_means() -> None:
     assert np.ptp(shown_movement(window)) == pytest.approx(
         np.ptp(window.output), rel=0.5
     )
+
+
+def test_a_window_is_expected_to_move_as_its_samples_one_by_one() -> None:
+    """Two heaters whose outputs the schedule expects sample by sample, and a match all at once."""
+    generator = np.random.default_rng(5)
+    heaters = np.repeat(generator.uniform(0.0, 80.0, (12, 2)), 25, axis=0)
+    effect = effect_of(TCLabBoth, 1.0)
+    movement = ExpectedMovement(effect)
+    one_by_one = np.array([movement.take(row) for row in heaters])
+    assert np.ptp(one_by_one, axis=0).min() > 1.0
+    window = Window(np.zeros((300, 2)), np.zeros((300, 2)), heaters)
+    # sums of matrices are rounded in another order
+    np.testing.assert_allclose(
+        expected_movement(window, effect), one_by_one, rtol=0.0, atol=1e-11
+    )
+
+
+def test_each_of_several_inputs_moves_the_output_by_its_own_gain() -> None:
+    """The noiseless answer of a lag to two inputs is the response of the model that is fitted to it."""
+    inputs = np.column_stack(
+        [switching(400, 3, every=7), 2.0 * switching(400, 4, every=11)]
+    )
+    states = np.zeros(400)
+    for k in range(399):
+        states[k + 1] = states[k] + 0.2 * (inputs[k] @ [3.0, -1.0] - states[k])
+    window = Window(np.zeros(400), states, inputs)
+    shown = shown_movement(window)[:, 0]
+    # the model begins at the mean, and is scaled to the range of the output
+    np.testing.assert_allclose(np.diff(shown[60:]), np.diff(states[60:]), rtol=1e-3)
 
 
 def test_what_the_inputs_do_not_cause_is_not_taken_for_theirs() -> None:

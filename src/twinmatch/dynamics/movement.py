@@ -107,3 +107,14 @@ class ExpectedMovement:
         deviation = effect.C @ self._states + effect.D @ moved
         self._states = effect.A @ self._states + effect.B @ moved
         return np.asarray(deviation)
+
+
+def movement_under(effect: InputEffect, inputs: FloatArray) -> FloatArray:
+    """Deviation of the outputs, shape (N, o), under inputs, shape (N, m), of which the first are those at rest: what
+    `ExpectedMovement` takes one by one."""
+    moved = inputs - inputs[:1]
+    changes = moved @ effect.B.T
+    states = np.zeros((len(moved), effect.A.shape[0]))
+    for k in range(1, len(moved)):
+        states[k] = effect.A @ states[k - 1] + changes[k - 1]
+    return np.asarray(states @ effect.C.T + moved @ effect.D.T)

@@ -150,28 +150,35 @@ def _delayed_drives(model: Model) -> tuple[_DelayedDrive, ...]:
     plant = model.plant
     if model.is_external:
         return ()
-    chains = [part for part in vars(plant).values() if isinstance(part, DeadTime)]
+    chains = [
+        part
+        for part in vars(plant).values()
+        if isinstance(part, DeadTime) and _mean_of(part) in model.states
+    ]
     if not chains:
+        # written equations need SymPy, whose import takes as long as a match
         return ()
     rates = written_equations(plant(), model.structure.parts).rates
     rate_of = {str(state): rate for state, rate in rates.items()}
     delayed_drives = []
     for chain in chains:
-        mean = f"{chain.name}_0"
-        delayed_drive = _drive_before(model, mean, rate_of.get(mean))
+        mean = _mean_of(chain)
+        delayed_drive = _drive_before(model, mean, rate_of[mean])
         if delayed_drive is not None:
             delayed_drives.append(delayed_drive)
     return tuple(delayed_drives)
 
 
+def _mean_of(chain: DeadTime) -> str:
+    """The state that holds the mean of what a chain delays over the dead time."""
+    return f"{chain.name}_0"
+
+
 def _drive_before(model: Model, mean: str, rate: Any) -> _DelayedDrive | None:
-    """The drive that a chain delays; None if the chain is not in use, delays something else, or by a time that
-    is not a parameter.
+    """The drive that a chain delays; None if it delays something else, or by a time that is not a parameter.
 
     The mean over a dead time θ changes at (signal − mean − …)/θ.
     """
-    if rate is None:
-        return None
     symbols = {str(symbol): symbol for symbol in rate.free_symbols}
     dead_time = (-1 / rate.diff(symbols[mean])).simplify()
     if str(dead_time) not in model.declared:

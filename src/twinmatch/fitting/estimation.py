@@ -48,10 +48,12 @@ class _ProfileSearch:
     """Refits of a bracketed end, at most."""
     evaluations: int = 30
     """Evaluations of a refit, at most."""
-    first_span: float = 0.1
-    """First distance of a bracketed end, in the parameter's scale."""
+    growth: float = 3.0
+    """Factor on the distance of the next value, as long as none is outside."""
     close: float = 0.02
     """Tolerance of an end, as a share of the allowed rise of the sum of squares."""
+    refined: float = 2e-4
+    """What a refit may leave above its minimum, as such a share: a hundredth of the tolerance."""
 
 
 _PROFILE: Final = _ProfileSearch()
@@ -358,47 +360,86 @@ def _find_end(  # noqa: PLR0917
     limit: float,
     rise: float,
 ) -> FloatArray | None:
-    """Find the end between a value inside and one outside, refitting the others at each."""
+    """Find the end between a value inside and one outside, refitting the others at each.
+
+    The first value is where the quadratic model reaches the limit. Each refit begins where the model of the one
+    before has the others, and ends once it is much closer to its minimum than the end has to be.
+    """
     near = inside.values
-    below = inside.cost - limit
-    far = bound
+    hessian = inside.hessian
+    below = _way_to_limit(inside.cost, limit, rise)
+    far: FloatArray | None = None
     beyond = math.inf
     ahead = 1.0
-    span = math.copysign(
-        _PROFILE.first_span * float(problem.scales[i]), bound - float(near[i])
+    span = model_reach(
+        hessian,
+        inside.gradient,
+        near,
+        problem.lower,
+        problem.upper,
+        i,
+        float(near[i]),
+        bound,
+        inside.cost,
+        limit,
     )
     for _ in range(_PROFILE.refits):
-        near_value = float(near[i])
-        if math.isfinite(beyond):
-            # The rise is nearly a parabola, so a straight line approximates its root; Illinois method.
-            target = near_value + (far - near_value) * min(
-                max(below / (below - beyond), 0.1), 0.9
-            )
+        if far is not None:
+            # Illinois method
+            share = min(max(below / (below - beyond), 0.1), 0.9)
+            start = near + share * (far - near)
         else:
-            target = near_value + span
-            span = 3.0 * span
-            target = min(target, bound) if bound > near_value else max(target, bound)
+            target = float(near[i]) + span
+            target = min(target, bound) if span > 0.0 else max(target, bound)
+            start = _in_valley(problem, near, hessian, i, target)
+            span = _PROFILE.growth * span
         lower = problem.lower.copy()
         upper = problem.upper.copy()
-        start = near.copy()
-        lower[i] = upper[i] = start[i] = target
+        lower[i] = upper[i] = start[i]
         refit = problem.experiment.descend(
-            start, lower, upper, problem.scales, _PROFILE.evaluations
+            start,
+            lower,
+            upper,
+            problem.scales,
+            _PROFILE.evaluations,
+            settled=_PROFILE.refined * rise,
         )
         excess = refit.cost - limit
         if abs(excess) <= _PROFILE.close * rise:
             return refit.values
         if excess > 0.0:
-            far = target
-            beyond = excess
+            far = refit.values
+            beyond = _way_to_limit(refit.cost, limit, rise)
             below, ahead = (0.5 * below, ahead) if ahead < 0.0 else (below, -1.0)
         else:
-            if target == bound:
+            if start[i] == bound:
                 return None
             near = refit.values
-            below = excess
+            hessian = refit.hessian
+            below = _way_to_limit(refit.cost, limit, rise)
             beyond, ahead = (0.5 * beyond, ahead) if ahead > 0.0 else (beyond, 1.0)
     return near
+
+
+def _way_to_limit(cost: float, limit: float, rise: float) -> float:
+    """How far a sum of squares is beyond its limit, in a measure in which a parabola is a straight line."""
+    minimum = limit - rise
+    return math.sqrt(max(cost - minimum, 0.0)) - math.sqrt(rise)
+
+
+def _in_valley(
+    problem: Problem, values: FloatArray, hessian: FloatArray, i: int, target: float
+) -> FloatArray:
+    """Values with parameter `i` at a target, and the others where they follow it by the quadratic model of a fit
+    with it elsewhere."""
+    way = target - float(values[i])
+    no_slope = np.zeros_like(values)
+    step = model_profile(
+        hessian, no_slope, values, problem.lower, problem.upper, i, way, 0.0
+    )[0]
+    followed = np.clip(values + step, problem.lower, problem.upper)
+    followed[i] = target
+    return np.asarray(followed)
 
 
 @compiled

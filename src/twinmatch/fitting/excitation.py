@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Plant
-from twinmatch.dynamics.movement import ExpectedMovement, InputEffect, effect_of
+from twinmatch.dynamics.movement import InputEffect, effect_of, movement_under
 from twinmatch.signals import BoolArray, FloatArray, Window
 
 _ORDER: Final = 2
@@ -39,8 +39,7 @@ _ROWS_FOR_EACH: Final = 3
 def expected_movement(window: Window, effect: InputEffect) -> FloatArray:
     """Movement of the outputs since the window began, in their units, shape (N, o), as the plant's equations
     with their defaults expect it of the inputs."""
-    movement = ExpectedMovement(effect)
-    return np.array([movement.take(row) for row in window.inputs])
+    return movement_under(effect, window.inputs)
 
 
 def movement_by_inputs(window: Window, effect: InputEffect) -> FloatArray:
@@ -55,6 +54,8 @@ def unexpected_movement(window: Window, effect: InputEffect) -> FloatArray:
     """Movement that the samples show of outputs of which the defaults expect far less, in their units, shape
     (N, o); zero of the others."""
     shown = shown_movement(window)
+    if not shown.any():
+        return shown
     return np.where(_is_far(shown, expected_movement(window, effect)), shown, 0.0)
 
 
@@ -163,18 +164,18 @@ def _simulated(
 ) -> FloatArray:
     """The output's deviation from its mean, shape (N,), as the inputs deviate from theirs."""
     n_inputs = inputs.shape[1]
-    deviation = np.zeros(len(inputs))
+    by_newest, by_before = (inputs @ of_inputs.reshape(_ORDER, n_inputs).T).T.tolist()
+    # numbers of Python: a recursion over elements of arrays takes ten times as long
+    of_newest, of_before = of_output.tolist()
+    deviation = [0.0] * len(inputs)
     for k in range(_ORDER - 1, len(inputs) - 1):
-        rate = 0.0
-        for lag in range(_ORDER):
-            by_inputs = of_inputs[lag * n_inputs : (lag + 1) * n_inputs]
-            rate += float(of_output[lag]) * deviation[k - lag] + float(
-                by_inputs @ inputs[k - lag]
-            )
-        deviation[k + 1] = deviation[k] + rate
+        newest = deviation[k]
+        rate = of_newest * newest + by_newest[k]
+        rate += of_before * deviation[k - 1] + by_before[k - 1]
+        deviation[k + 1] = newest + rate
         if not abs(deviation[k + 1]) < _ENDLESS:
             return np.zeros(len(inputs))
-    return deviation
+    return np.array(deviation)
 
 
 def why_not_moved(window: Window, plant: type[Plant], least: FloatArray) -> str:

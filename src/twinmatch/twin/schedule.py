@@ -290,8 +290,8 @@ class Schedule:
         began = max(self._quiet_since, window.first)
         since = movement[began - window.first :]
         reach = _Reach(began, self.settings.min_span)
-        for index, deviation in enumerate(since - since[0], start=began):
-            far = float(np.max(np.abs(deviation) / self._least))
+        far_at = np.max(np.abs(since - since[0]) / self._least, axis=1)
+        for index, far in enumerate(far_at.tolist(), start=began):
             first = reach.push(index, far)
             if first is not None:
                 return first
