@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from benchmarks import two_heaters
+from benchmarks import two_heaters, unseen_kits
 from benchmarks.bank.kits import BEGINS, run, typical
+from benchmarks.unseen_kits import MISHAPS, NOTHING, Mishap
 from tests.support.recorded_kits import kit_rows
 from tests.support.watched import copied
 from twinmatch.health import Fault
-from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
+from twinmatch.health.channels import CHANGE, ChannelAlarm, ChannelMonitor
 from twinmatch.health.evidence import Competition, Suspect
 from twinmatch.health.faults import EVERY, EstimatedReading
 from twinmatch.health.hypotheses import ChangeRow
@@ -164,6 +165,101 @@ def test_heat_that_crosses_from_the_other_heater_accuses_nobody() -> None:
         monitor.push(changed(sample, "inputs", 0, added=-crosses))
     assert monitor.alarms == ()
     assert monitor.competition.crossing > 0.0
+
+
+def said_of_unseen(seed: int, mishap: Mishap, size: int) -> tuple[ChannelAlarm, ...]:
+    """What is said of so many samples of a kit that differs from the plant file."""
+    return watched(unseen_kits.run(seed, mishap, "pid"), size).alarms
+
+
+def test_a_draught_has_its_size_and_ends_and_nothing_else_is_said() -> None:
+    """Losses become 2.5 times what they were for seven minutes."""
+    draught = MISHAPS["draught"]
+    (alarm,) = said_of_unseen(4, draught, unseen_kits.BEGINS + draught.lasts + 240)
+    assert (alarm.fault, alarm.signal) == (Fault.LOSSES_CHANGED, "losses")
+    assert abs(alarm.size - 2.5) < 0.3
+    assert alarm.last is not None
+    assert 0 < alarm.last - unseen_kits.BEGINS - draught.lasts < 60
+
+
+def test_a_lid_has_its_size_and_ends_and_nothing_else_is_said() -> None:
+    """Losses become half of what they were for ten minutes."""
+    lid = MISHAPS["lid"]
+    (alarm,) = said_of_unseen(4, lid, unseen_kits.BEGINS + lid.lasts + 240)
+    assert (alarm.fault, alarm.signal) == (Fault.LOSSES_CHANGED, "losses")
+    assert abs(alarm.size - 0.5) < 0.06
+    assert alarm.last is not None
+
+
+def test_what_a_drive_explained_as_a_lost_one_names_no_weak_one() -> None:
+    """A draught begins as a lost supply would; then a fifth of its effect seems to be left, and more."""
+    (alarm,) = said_of_unseen(12, MISHAPS["draught"], unseen_kits.BEGINS + 90)
+    assert alarm.fault is Fault.LOSSES_CHANGED
+
+
+def test_what_began_before_the_plant_was_known_is_how_the_plant_is() -> None:
+    assert said_of_unseen(1, NOTHING, 1300) == ()
+
+
+def test_what_has_no_name_when_its_onset_is_forgotten_is_not_named_as_something_later() -> (
+    None
+):
+    """After eight minutes; the lid is open again after ten."""
+    lid = MISHAPS["lid"]
+    alarms = said_of_unseen(5, lid, unseen_kits.BEGINS + lid.lasts + 240)
+    assert {alarm.fault for alarm in alarms} == {Fault.DRIFT}
+    assert all(alarm.last is not None for alarm in alarms)
+
+
+@pytest.mark.parametrize(
+    ("row", "shift", "is_possible"),
+    [
+        (ChangeRow((Fault.LOSSES_CHANGED, 0), "losses", -0.5, 0.2, is_relative=True), -0.6, True),
+        (ChangeRow((Fault.LOSSES_CHANGED, 0), "losses", -0.5, 0.2, is_relative=True), -1.4, False),
+        (ChangeRow((Fault.DRIVE_WEAK, 0), "share 0", -0.35, 0.2), -0.5, True),
+        (ChangeRow((Fault.DRIVE_WEAK, 0), "share 0", -0.35, 0.2), -0.9, False),  # of 0.7
+        (ChangeRow((Fault.DRIVE_LOST, 0), "share 0", -1.0, 0.03), -0.7, True),  # of 0.7
+        (ChangeRow((Fault.ROOM_CHANGED, 2), "ambient", 0.0, 8.0), -20.0, True),
+    ],
+)  # fmt: skip
+def test_nothing_acts_less_than_not_at_all(
+    row: ChangeRow, shift: float, is_possible: bool
+) -> None:
+    cost = row.cost_of_impossible(shift, error=0.08, believed=-0.3)
+    assert cost < 0.1 if is_possible else cost > 3.0
+
+
+@pytest.mark.parametrize("before", [2, 30])
+def test_a_drive_that_is_switched_off_at_once_has_shown_nothing_but_when_it_acts(
+    before: int,
+) -> None:
+    """Inputs may act 12 s later than the equations say. A heater is said to be lost some seconds before its
+    command ends, and rests for a minute."""
+    competition = Competition(typical(), 1.0)
+    counts = np.ones(2, dtype=bool)
+    for k in range(160):
+        command = 40.0 if k < 100 else 0.0
+        sample = Sample(k, k * 10**9, (0.0, 0.0), (25.0, 25.0), (command, 10.0))
+        competition.push(sample, np.array(sample.outputs), counts)
+    row = ChangeRow((Fault.DRIVE_LOST, 0), "share 0", shift=-1.0)
+    suspect = Suspect(row.cause, 6.0, row, -1.0, 0.05, 100 - before, 0)
+    assert competition.was_asked(suspect) == (before > 12)
+
+
+def test_beside_a_sensor_that_lies_a_second_fault_needs_twice_the_evidence() -> None:
+    evidence = []
+    for mishap in ("nothing", "T1 +5 °C"):
+        monitor, samples = kit_21(mishap)
+        for second, sample in enumerate(islice(samples, 200)):
+            is_weak = second >= 60
+            monitor.push(changed(sample, "inputs", 1, factor=1.6 if is_weak else 1.0))
+            if monitor.on is not None and monitor.on.fault is Fault.DRIVE_WEAK:
+                break
+        alarm = monitor.alarms[-1]
+        assert (alarm.fault, alarm.signal) == (Fault.DRIVE_WEAK, "second")
+        evidence.append(alarm.suspects[0].evidence)
+    alone, beside_a_lie = evidence
+    assert CHANGE < alone < 2.0 * CHANGE < beside_a_lie
 
 
 def healthy_under_a_law(seed: int, size: int) -> tuple[ChannelAlarm, ...]:

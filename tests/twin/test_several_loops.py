@@ -31,7 +31,9 @@ from twinmatch.offline.judging import terms_from_files
 from twinmatch.plants import TCLabBoth
 from twinmatch.signals import Sample, Window
 from twinmatch.twin import Forecaster, Outcome, Twin, TwinSettings
+from twinmatch.twin.engine import Discriminator
 from twinmatch.twin.law_on_estimates import LawOnEstimates
+from twinmatch.twin.matcher import MatchReport, carry_out
 
 TRUTH = Heaters.model().parameters()
 LAW = PidLoops.of(
@@ -263,6 +265,37 @@ def test_a_law_that_ran_on_an_estimate_is_followed_with_that(
     # What was known of the integral at the change decays with the time of the back-calculation, 15.5 s.
     right, wrong = np.array(on_estimates.errors)[80:].max(axis=0)
     assert right < 0.1 * wrong
+
+
+def test_no_estimate_waits_for_a_match(on_estimates: RunOnEstimates) -> None:
+    """While a match is awaited nothing is judged, and the law's estimates would be too old after 2 s. But no
+    match is requested of samples of a sensor that lies, and one that was requested before delays the accusation."""
+    discriminator = Discriminator(on_estimates.twin.settings)
+    answer: MatchReport | None = None
+    due = 0
+    requested = 0
+    since: int | None = None
+    delays = []
+    for sample in on_estimates.samples[:1100]:
+        step = discriminator.push_sample(sample)
+        estimates = list(step.estimates)
+        if answer is not None and sample.index >= due:
+            step = discriminator.push_match(answer)
+            estimates += step.estimates
+            answer = None
+        if step.request is not None:
+            answer = carry_out(step.request, on_estimates.twin.settings)
+            due = sample.index + 40
+            requested += 1
+        if estimates and since is None:
+            since = sample.index
+        if since is not None:
+            newest = estimates[-1].sample if estimates else -1
+            delays.append(sample.index - newest)
+    assert requested >= 3
+    assert since is not None
+    assert len(delays) > 100
+    assert set(delays) == {0}
 
 
 def test_samples_of_a_law_that_ran_on_an_estimate_are_not_matched(

@@ -201,10 +201,8 @@ class FaultTrial:
         elif kind == "offset":
             offsets[:, int(place)] = change
         else:
-            logged = healthy.fixed.free.logged[model.structure.free.index(kind)]
-            value = (
-                parameters[kind] * math.exp(size) if logged else parameters[kind] + size
-            )
+            value = parameters[kind]
+            value = value * (1.0 + size) if fault.is_relative else value + size
             parameters = parameters.replace(**{kind: value})
         return (
             simulate_driven(
@@ -268,7 +266,7 @@ def _is_tried(row: ChangeRow) -> bool:
 
 
 def size_of(fault: ChangeRow) -> float:
-    """Its usual size, in its number's unit; a drive does less."""
+    """Its usual size, as the row has it; a drive does less."""
     return fault.shift or (
         -fault.spread if fault.number.startswith("share") else fault.spread
     )

@@ -7,7 +7,9 @@ and a push that fades.
 
 A change is a jump or a ramp of one of these numbers. To first order the filter then errs by the size of the
 change times a trace, which is carried along as the error of the filter is (Willsky and Jones 1976). So a
-hypothesis is a vector, a mean and a variance of its size; none of them runs a filter of its own.
+hypothesis is a vector, a mean and a variance of its size; none of them runs a filter of its own. A parameter that
+changes by a share of what it was also changes how the plant settles after an error: a plant that loses three times
+as much settles in a third of the time. That part of the second order is in its trace, with the size believed so far.
 """
 
 from __future__ import annotations
@@ -39,6 +41,8 @@ _SHOWS = 1e-8
 """Share of the expected variance below which a change does not show in a reading."""
 _HOPELESS = -8.0
 """Evidence at which an onset is dropped, nats."""
+_LEAST_SHARE = -0.95
+"""Least change of a parameter as a share of what it was: it keeps its sign."""
 _ROOT = math.sqrt(2.0)
 _PEAK = 1.0 / math.sqrt(2.0 * math.pi)
 
@@ -161,6 +165,8 @@ class ChangeRows(NamedTuple):
     """Whether the number follows inputs in proportion, instead of staying as it has changed."""
     follows: FloatArray
     """By how much it follows each of the m inputs, shape (R, m)."""
+    relative: Any
+    """The first row of the same parameter, if the size is a share of what that was; −1: it is not."""
 
 
 @compiled(inside=True)
@@ -262,6 +268,87 @@ def _followed(rows: ChangeRows, r: int, u: FloatArray) -> float:
 
 
 @compiled(inside=True)
+def _acting(fixed: BankConstants, at: FloatArray, u: FloatArray) -> FloatArray:
+    """The inputs u, shape (m,), as they act in a belief."""
+    m = u.size
+    share = at.size - 3 * fixed.spans.size - 2 * m
+    push = share + m
+    inputs = np.empty(m)
+    for q in range(m):
+        gain = 1.0 + min(max(at[share + q], -1.0), 1.0)
+        inputs[q] = fixed.rest[q] + (u[q] - fixed.rest[q]) * gain + at[push + q]
+    return inputs
+
+
+@compiled(inside=True)
+def _move_changed(  # noqa: PLR0917
+    code: Code,
+    fixed: BankConstants,
+    traces: ChangeTraces,
+    rows: ChangeRows,
+    begin: int,
+    slots: int,
+    at: FloatArray,
+    vector: FloatArray,
+    work: Work,
+    u: FloatArray,
+    d: FloatArray,
+    changed: FloatArray,
+) -> None:
+    """For each row whose size is a share, the derivatives of the next states by the present ones in a belief
+    whose parameter is twice what it is, into `changed`, shape (R, n, n); only if the member, whose traces start
+    at `begin`, has one of it."""
+    n = work.after.size - 1
+    p = fixed.free.places.size
+    moved = np.zeros((n, n + p))
+    for r in range(rows.number.size):
+        if rows.relative[r] != r:
+            continue
+        is_followed = False
+        for other in range(r, rows.number.size):
+            if rows.relative[other] == r:
+                for t in range(begin + other * slots, begin + (other + 1) * slots):
+                    is_followed = is_followed or traces.born[t] >= 0
+        if not is_followed:
+            continue
+        doubled = at.copy()
+        doubled[rows.number[r]] += math.log(2.0)
+        inputs = _acting(fixed, at, u)
+        states = at[:n].copy()
+        _use(code, fixed.free, doubled, vector, work)
+        _move(
+            code,
+            states,
+            inputs,
+            d,
+            work,
+            fixed.period,
+            fixed.steps,
+            fixed.free.which,
+            moved,
+        )
+        for j in range(n):
+            for k in range(n):
+                changed[r, j, k] = moved[j, k]
+
+
+@compiled(inside=True)
+def _bend(
+    changed: FloatArray,
+    moved: FloatArray,
+    shift: float,
+    trace: FloatArray,
+    new: FloatArray,
+) -> None:
+    """Add to the states of a trace after a period what comes of a parameter that has changed by `shift`, as a
+    share."""
+    n = new.size
+    for j in range(n):
+        for k in range(n):
+            new[j] += shift * (changed[j, k] - moved[j, k]) * trace[k]
+
+
+@compiled(inside=True)
 def _carry_traces(  # noqa: PLR0917
     fixed: BankConstants,
     traces: ChangeTraces,
@@ -270,10 +357,11 @@ def _carry_traces(  # noqa: PLR0917
     end: int,
     slots: int,
     moved: FloatArray,
+    changed: FloatArray,
     crossing: FloatArray,
     now: int,
 ) -> None:
-    """Move the traces of a member on to the next sample."""
+    """Move the traces of a member on to the next sample; `changed` as from `_move_changed`."""
     n, size = moved.shape
     new = np.empty(n)
     for t in range(begin, end):
@@ -287,6 +375,9 @@ def _carry_traces(  # noqa: PLR0917
             new[j] = 0.0
             for k in range(size):
                 new[j] += moved[j, k] * trace[k]
+        if rows.relative[r] >= 0:
+            shift = max(traces.mean[t], _LEAST_SHARE)
+            _bend(changed[rows.relative[r]], moved, shift, trace, new)
         for j in range(n):
             trace[j] = new[j]
         for j in range(n, size):
@@ -346,11 +437,8 @@ def _move_member(  # noqa: PLR0917
     push = n + p + m
     fading = size - o
     moved_states = at[:n].copy()
-    inputs = np.empty(m)
     was = np.empty(o)
-    for q in range(m):
-        gain = 1.0 + min(max(at[share + q], -1.0), 1.0)
-        inputs[q] = fixed.rest[q] + (u[q] - fixed.rest[q]) * gain + at[push + q]
+    inputs = _acting(fixed, at, u)
     _use(code, fixed.free, at, vector, work)
     call(code[OUTPUTS], at, inputs, d, work.p, work.b, work.outputs)
     call(code[OUTPUT_SLOPES], at, inputs, d, work.p, work.b, work.output_slopes)
@@ -476,6 +564,7 @@ def step(  # noqa: PLR0917
     work = work_for(code, vector)
     noises = np.zeros(size)
     moved = np.zeros((work.after.size - 1, size))
+    changed = np.zeros((rows.number.size, work.after.size - 1, work.after.size - 1))
     for t in range(traces.now.size):
         traces.now[t] = 0.0
     for b in range(members.alive.size):
@@ -488,6 +577,21 @@ def step(  # noqa: PLR0917
         end = begin + (slots * rows.number.size if b < levels else 0)
         _use(code, fixed.free, belief, vector, work)
         _correct_member(code, fixed, members, b, traces, begin, end, r, vector, work)
+        if end > begin:
+            _move_changed(
+                code,
+                fixed,
+                traces,
+                rows,
+                begin,
+                slots,
+                belief,
+                vector,
+                work,
+                u,
+                r.disturbances,
+                changed,
+            )
         _move_member(
             code,
             fixed,
@@ -501,7 +605,9 @@ def step(  # noqa: PLR0917
             noises,
         )
         _carry(moved, covariance, fixed.keeps, noises)
-        _carry_traces(fixed, traces, rows, begin, end, slots, moved, r.crossing, now)
+        _carry_traces(
+            fixed, traces, rows, begin, end, slots, moved, changed, r.crossing, now
+        )
         total = 0.0
         for j in range(size):
             total += belief[j] + covariance[j, j]

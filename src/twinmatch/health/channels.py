@@ -21,6 +21,7 @@ from twinmatch.health.faults import (
     Health,
     HealthState,
     Lie,
+    Subject,
     touching,
 )
 from twinmatch.health.hypotheses import MORE, ChangeRow
@@ -53,7 +54,8 @@ class _Naming(Rule):
     """Age at which the size of a drive's effect is known: before, a weak one may be a lost one, s."""
     more: float = 2.0 * CHANGE
     """Evidence from which a drive is said to do more than before, nats: what equations lack of the exchange
-    between two loops looks like that."""
+    between two loops looks like that. And from which a second fault is named while a sensor lies, by whose readings
+    it is judged as well."""
     certain: float = 2.0
     """Standard deviations of its size by which an unnamed change differs from none, and a lost drive from a
     weak one."""
@@ -64,6 +66,7 @@ class _Naming(Rule):
 _NAMING: Final = _Naming()
 
 
+_OF_A_DRIVE: Final = (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
 _LEARNED_FIRST: Final = frozenset(
     f for f, traits in TRAITS.items() if traits.another_plant
 ) | {Fault.DRIFT}
@@ -113,7 +116,20 @@ class _NamedChange(NamedTuple):
     fault: Fault
     row: ChangeRow
     shift: float
-    """Its size, in the number's unit."""
+    """Its size, as its row has it."""
+
+    @property
+    def way_back(self) -> ChangeRow:
+        """The change that undoes it."""
+        shift = self.row.undoing(self.shift)
+        return replace(
+            self.row,
+            shift=shift,
+            spread=0.2 * abs(shift),
+            lasting=0.0,
+            slowly=0.0,
+            price=-2.0,
+        )
 
 
 class ChannelMonitor:
@@ -261,7 +277,7 @@ class ChannelMonitor:
             # no filter has taken such readings: the newest is best
             self._read_through(output, 0)
         self._judge_jumps(self.competition.jumped(_NAMING.confirm - 1))
-        suspects = map(self._lost_or_weak, self.competition.suspects())
+        suspects = self._lost_and_weak(self.competition.suspects())
         self.suspects = [suspect for suspect in suspects if self._counts(suspect)]
         self._judge(self.suspects)
         for output in [*self.competition.through]:
@@ -363,11 +379,32 @@ class ChannelMonitor:
             named.row.cause == (Fault.SENSOR_DRIFT, output) for named in self._standing
         )
 
+    def _lost_and_weak(self, suspects: list[Suspect]) -> list[Suspect]:
+        """The suspects, with drives called lost or weak by what is left of their effect, the best first.
+
+        What a drive explained when it was followed as a lost one says nothing for a weak one, which has rows of
+        its own.
+        """
+        evidence_of_weak = {
+            suspect.cause[1]: suspect.evidence
+            for suspect in suspects
+            if suspect.cause[0] is Fault.DRIVE_WEAK
+        }
+        called = []
+        for suspect in suspects:
+            named = self._lost_or_weak(suspect)
+            fault, drive = named.cause
+            if fault is Fault.DRIVE_WEAK and suspect.cause[0] is Fault.DRIVE_LOST:
+                most = evidence_of_weak.get(drive, -math.inf)
+                named = replace(named, evidence=min(named.evidence, most))
+            called.append(named)
+        return sorted(called, key=lambda suspect: -suspect.evidence)
+
     def _lost_or_weak(self, suspect: Suspect) -> Suspect:
         """The suspect; a drive is lost if certainly nearly nothing is left of its effect, and weak if more may
         be, whatever it was followed as."""
         fault, drive = suspect.cause
-        if fault not in {Fault.DRIVE_WEAK, Fault.DRIVE_LOST}:
+        if fault not in _OF_A_DRIVE:
             return suspect
         share = suspect.shift + self.competition.believed(suspect.row.number)
         is_lost = share + _NAMING.certain * suspect.error <= _LOST_FROM
@@ -441,10 +478,25 @@ class ChannelMonitor:
             self._unnamed = 0
             return
         self._unnamed += 1
+        if self._is_unnamed_for_good(best):
+            self._standing.append(_NamedChange(best.cause[0], best.row, best.shift))
+            self._adopt(best)
+            self._close()
+            return
         enough = best.evidence >= 2.0 * CHANGE
         has_waited = self._unnamed > _NAMING.unnamed * self.competition.second
         if enough and has_waited and self.on is None:
             self._raise(Fault.DRIFT, best, suspects)
+
+    def _is_unnamed_for_good(self, best: Suspect) -> bool:
+        """Whether a reported change without a name will not get one, because its onset is forgotten soon.
+
+        Without it, a cause that began later, and that the same change would explain, were the best. So its likeliest
+        cause is taken for how the plant is, and its end is expected.
+        """
+        is_reported = self.on is not None and self.on.fault is Fault.DRIFT
+        is_of_plant = best.cause[0] in _LEARNED_FIRST - {Fault.DRIFT}
+        return is_reported and is_of_plant and self.competition.is_forgotten_soon(best)
 
     def _over(self, on: ChannelAlarm, suspects: list[Suspect]) -> bool:
         """Whether the fault of the alarm that is on has ended."""
@@ -464,7 +516,7 @@ class ChannelMonitor:
         If not, it may be learned in silence: the end of a named change, or a change of a plant that is not
         known yet.
         """
-        if best.cause[0] is Fault.DRIVE_WEAK and self._is_open(best):
+        if self._lacks_proof(best):
             return False
         undone = next(
             (named for named in self._standing if self._undoes(best, named)), None
@@ -473,16 +525,34 @@ class ChannelMonitor:
             self._standing.remove(undone)
             if self.on is not None and self.on.fault is undone.fault:
                 self._close()
+            self._adopt(best)
+            return False
         young = self._is_young(best)
         if best.cause[0] in _LEARNED_FIRST and self.competition.rough:
             return False
         is_large = abs(best.shift) >= self._least_reported(best)
-        if undone is None and is_large and not young:
+        if is_large and not young:
             seems_to_do_more = self._does_more(best) and self._may_cross(best)
             return not seems_to_do_more and not self._creeps_unseen(best)
-        if undone is not None or best.evidence > 2.0 * CHANGE:
+        if best.evidence > 2.0 * CHANGE:
             self._adopt(best)
         return False
+
+    def _lacks_proof(self, best: Suspect) -> bool:
+        """Whether something else than its rivals may explain the samples as well."""
+        fault = best.cause[0]
+        if fault is Fault.DRIVE_WEAK and self._is_open(best):
+            return True
+        if fault in _OF_A_DRIVE and not self.competition.was_asked(best):
+            return True
+        return self._is_beside_a_lie(best) and best.evidence < _NAMING.more
+
+    def _is_beside_a_lie(self, suspect: Suspect) -> bool:
+        """Whether another sensor than the one it concerns is known to lie."""
+        fault, place = suspect.cause
+        concerned = place if TRAITS[fault].subject is Subject.OUTPUT else None
+        outputs = range(len(self._outputs))
+        return any(self._lies(output) for output in outputs if output != concerned)
 
     def _age(self, suspect: Suspect) -> float:
         """Time since its onset, in s of a plant as fast as the rig."""
@@ -524,9 +594,7 @@ class ChannelMonitor:
         known = self.competition.known
         if best.cause[0] is Fault.DRIVE_LOST:
             return False
-        if best.cause[0] in _LEARNED_FIRST:
-            return known < _NAMING.learned
-        if best.row.slowly:
+        if best.cause[0] in _LEARNED_FIRST or best.row.slowly:
             return not self._began_known(best)
         return known < _NAMING.young
 
@@ -562,7 +630,7 @@ class ChannelMonitor:
         """Whether a suspect brings the number of a named change nearly back to what it was before."""
         if (named.row.number, named.row.also) != (suspect.row.number, suspect.row.also):
             return False
-        remaining = abs(named.shift + suspect.shift)
+        remaining = abs(suspect.row.remaining(named.shift, suspect.shift))
         return remaining <= max(_ENDING.remainder * abs(named.shift), suspect.row.least)
 
     def _name(self, best: Suspect, suspects: list[Suspect]) -> None:
@@ -594,19 +662,7 @@ class ChannelMonitor:
 
     def _expect_back(self) -> None:
         """Have every named change compete that may be undone."""
-        self.competition.expect_back(
-            [
-                replace(
-                    named.row,
-                    shift=-named.shift,
-                    spread=0.2 * abs(named.shift),
-                    lasting=0.0,
-                    slowly=0.0,
-                    price=-2.0,
-                )
-                for named in self._standing
-            ]
-        )
+        self.competition.expect_back([named.way_back for named in self._standing])
 
     def _raise(self, fault: Fault, best: Suspect, suspects: list[Suspect]) -> None:
         if self.on is not None:

@@ -7,6 +7,7 @@ of the code of the readings since is its evidence.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from typing import Final
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from twinmatch.dynamics import Parameters
 from twinmatch.dynamics.bank import ChangeRows, Reading, spawn, step, tally, unborn
+from twinmatch.health.faults import EVERY as EVERY_DRIVE
 from twinmatch.health.faults import TRAITS, Fault, Subject
 from twinmatch.health.hypotheses import (
     ChangeRow,
@@ -51,6 +53,8 @@ _FOLLOWING: Final = _Following()
 _HOUR: Final = 3600.0
 _LEAST_LOG_WEIGHT: Final = math.log(0.01)
 """Log-weight of a level from which on changes begin in it."""
+_LEAST_FACTOR: Final = 0.05
+"""Least factor on a number that is tracked by its logarithm."""
 _INTERESTING: Final = -6.0
 """Evidence below which a cause is not looked at, nats."""
 
@@ -64,7 +68,7 @@ class Suspect:
     """Nats beyond its price."""
     row: ChangeRow
     shift: float
-    """Believed size of the change, in the number's unit."""
+    """Believed size of the change, as its row has it."""
     error: float
     """Standard deviation of that size."""
     born: int
@@ -103,6 +107,10 @@ class Competition:
         """Start over after a gap, keeping what was learned about the plant."""
         self.count = 0
         """Samples since the last gap."""
+        self._commands = deque[FloatArray](
+            maxlen=round(_FOLLOWING.reach * self.second) + self.healthy.latest
+        )
+        """The newest ones, of each drive, as distances from rest."""
         self.healthy.restart()
         for sensor, rehearsal in zip(self.sensors, self.rehearsals, strict=True):
             sensor.restart()
@@ -167,6 +175,13 @@ class Competition:
             ),
             crosses=np.array([row.crosses for row in rows]),
             follows=follows,
+            relative=np.array(
+                [
+                    numbers.index(number) if row.is_relative else -1
+                    for row, number in zip(rows, numbers, strict=True)
+                ],
+                dtype=np.int64,
+            ),
         )
 
     def _masses(self, rows: list[ChangeRow]) -> list[float]:
@@ -197,6 +212,7 @@ class Competition:
             self._begin_traces(reach)
         row = self._model.disturbance_row(sample.disturbances or None)
         u = np.array(sample.inputs)
+        self._commands.append(np.abs(u - self._model.rest))
         healthy.open(values, u, row)
         readings = list(
             zip(self.sensors, values.tolist(), counts.tolist(), strict=True)
@@ -343,6 +359,7 @@ class Competition:
             shift = float(self._traces.mean[trace])
             error = math.sqrt(self._traces.variance[trace])
             evidence = float(self._totals[place]) - price_of_hour
+            evidence -= row.cost_of_impossible(shift, error, self.believed(row.number))
             suspects.append(
                 Suspect(
                     row.cause,
@@ -393,6 +410,25 @@ class Competition:
             self.through[output] = estimator
             for rehearsal in self.rehearsals:  # those of the others take its readings
                 rehearsal.drop()
+
+    def is_forgotten_soon(self, suspect: Suspect) -> bool:
+        """Whether its onset is so long ago that it is not followed much longer."""
+        age = self.count - suspect.born
+        return age >= (_FOLLOWING.reach - 2.0 * EVERY) * self.second
+
+    def was_asked(self, suspect: Suspect) -> bool:
+        """Whether a drive, or one of all drives, has been asked since it is said to have changed for more than
+        what comes sooner or later if its input acts at another time than the equations say.
+
+        A drive that is switched off a few seconds after that has shown nothing but when it acts.
+        """
+        latest = self.healthy.latest
+        since = self.count - suspect.born
+        commands = np.array(self._commands)[-since - latest :]
+        asked = commands[-since:].sum(axis=0)
+        is_enough = asked > latest * commands.max(axis=0)
+        drive = suspect.cause[1]
+        return bool(is_enough.any() if drive == EVERY_DRIVE else is_enough[drive])
 
     def may_accuse(self, suspect: Suspect) -> bool:
         """Whether the equations forecast well what they would be believed in: the output that a cause
@@ -463,6 +499,19 @@ class Competition:
         for rehearsal in self.rehearsals:
             rehearsal.drop()
 
+    def _adopted(
+        self, row: ChangeRow, trace: FloatArray, shift: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """What a change adds to a belief, and the derivative of that by its size."""
+        change = shift * trace
+        by_size = trace.copy()
+        if row.is_relative:
+            number = self.healthy.numbers[row.number]
+            factor = max(1.0 + shift, _LEAST_FACTOR)
+            change[number] = math.log(factor) * trace[number]
+            by_size[number] = trace[number] / factor
+        return change, by_size
+
     def adopt(self, suspect: Suspect) -> None:
         """Take a change for how the plant is, in every healthy member: by its own trace, if it has one that
         began then."""
@@ -480,10 +529,11 @@ class Competition:
                 (t for t in traces_of_row if traces.born[t] == suspect.born),
                 suspect.hypothesis,
             )
-            members.at[b] += traces.trace[t] * traces.mean[t]
-            members.covariance[b] += (
-                np.outer(traces.trace[t], traces.trace[t]) * traces.variance[t]
+            change, spread = self._adopted(
+                suspect.row, traces.trace[t], float(traces.mean[t])
             )
+            members.at[b] += change
+            members.covariance[b] += np.outer(spread, spread) * traces.variance[t]
         self._clear()
         self.healthy.forget_newest()
         for output, rehearsal in enumerate(self.rehearsals):

@@ -6,6 +6,7 @@ once, slowly, or for a while.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
@@ -42,14 +43,14 @@ class Explanation(NamedTuple):
 
 @dataclass(frozen=True)
 class ChangeRow:
-    """One way in which one number may change; sizes in the number's unit, times in s of a plant as fast as
-    the rig."""
+    """One way in which one number may change; sizes in the number's unit, or as shares of what it was; times
+    in s of a plant as fast as the rig."""
 
     cause: PlacedFault
     number: str
     """A parameter; or share, push, offset or fading, with the place of its drive or output."""
     shift: float = 0.0
-    """Expected size; of the logarithm of a number that is tracked by its logarithm."""
+    """Expected size."""
     spread: float = 0.0
     """Standard deviation of the size."""
     least: float = 0.0
@@ -62,6 +63,9 @@ class ChangeRow:
     """Nats that this row costs beyond those of its cause and its onset."""
     wanders: float = 0.25
     """By how much its size may wander within 30 s, as a share: no change has exactly the shape of its row."""
+    is_relative: bool = False
+    """Whether sizes are shares of what the number was, because it is tracked by its logarithm. To first order
+    what a change does to the plant is in proportion to that share."""
     also: tuple[str, ...] = ()
     """Other numbers that change by the same."""
     follows: tuple[float, ...] = ()
@@ -77,6 +81,39 @@ class ChangeRow:
     def explanation(self) -> Explanation:
         """What it stands for."""
         return Explanation(self.cause, self.crosses)
+
+    def undoing(self, shift: float) -> float:
+        """The size of the change that undoes one of this size."""
+        return -shift / (1.0 + shift) if self.is_relative else -shift
+
+    def cost_of_impossible(self, shift: float, error: float, believed: float) -> float:
+        """What it costs a change of this size, ± `error`, that nothing acts less than not at all, nats; `believed`
+        is the value of the number before it.
+
+        With a prior that ends there, the evidence of a change is less by the part of its distribution that lies
+        beyond, beside the part of the prior that does.
+        """
+        if self.is_relative:
+            least = -1.0
+        elif self.number.startswith("share"):
+            least = -1.0 - believed
+        else:
+            return 0.0
+        expected = least if self.cause[0] is Fault.DRIVE_LOST else self.shift
+        before = _log_of_part_above(least, expected, self.spread)
+        return max(before - _log_of_part_above(least, shift, error), 0.0)
+
+    def remaining(self, shift: float, later: float) -> float:
+        """What is left of a change after a later one of the same number."""
+        if self.is_relative:
+            return (1.0 + shift) * (1.0 + later) - 1.0
+        return shift + later
+
+
+def _log_of_part_above(least: float, mean: float, deviation: float) -> float:
+    """Logarithm of the part of a normal distribution that lies above a value."""
+    below = (least - mean) / deviation
+    return math.log(max(0.5 * math.erfc(below / math.sqrt(2.0)), 1e-300))
 
 
 def rows_of(model: Model) -> list[ChangeRow]:
@@ -99,9 +136,11 @@ def rows_of(model: Model) -> list[ChangeRow]:
 
 
 def _rows_of_losses(place: int, name: str) -> Iterator[ChangeRow]:
-    """Losses have become much larger, or half as large; a row has shift and spread of their logarithm."""
-    for shift, spread in ((2.0, 2.0), (-0.7, 0.2)):
-        yield ChangeRow((Fault.LOSSES_CHANGED, place), name, shift, spread, least=0.4)
+    """Losses have become much larger, or half as large; by a factor of 1.5 at least."""
+    cause = (Fault.LOSSES_CHANGED, place)
+    larger = ChangeRow(cause, name, shift=2.0, spread=2.0, least=0.5, is_relative=True)
+    yield larger
+    yield replace(larger, shift=-0.5, spread=0.2, least=1.0 / 3.0)
 
 
 def _rows_of_room(place: int, name: str, scale: float) -> Iterator[ChangeRow]:

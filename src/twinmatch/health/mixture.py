@@ -198,6 +198,8 @@ class HealthyMixture:
         self._late = np.array(
             list(dict.fromkeys(round(delay * swift) for delay in delays))
         )
+        self.latest = int(self._late.max())
+        """Longest delay with which inputs may act, samples."""
         self._ways = len(self._late) + len(lags)
         self._lagging = 1.0 - np.exp(-1.0 / (np.array(lags)[:, np.newaxis] * swift))
         self.levels = len(LEVELS)

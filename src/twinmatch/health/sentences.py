@@ -259,11 +259,11 @@ class FaultSentences:
 def _size(fault: Fault, shift: float, share: float, unit: str) -> tuple[float, str]:
     """How large a change is, as a number and in words; NaN where a fault has no size.
 
-    `shift` is that of a reading or a parameter, in its `unit`; of losses it is the logarithm of their factor.
+    `shift` is that of a reading or a parameter, in its `unit`; of losses it is a share of what they were.
     `share` is what is left of a drive's effect.
     """
     if fault is Fault.LOSSES_CHANGED:
-        factor = math.exp(shift)
+        factor = max(1.0 + shift, 0.0)
         return factor, f"{factor:.2g} times"
     if fault in {Fault.DRIVE_LOST, Fault.DRIVE_WEAK}:
         return share, f"{share:.0%}"
