@@ -45,11 +45,8 @@ them (`python -m benchmarks.trust`)."""
 ONE_SIDED: Final = 1.6448536269514722
 """Quantile of the normal distribution at 95 %: that of `persistence_skill_high` and `arx_skill_high`."""
 _TINY: Final = 1e-12
-_TWENTIETH: Final = 1.05
-"""A twin whose errors are up to so many times those of ARX is as good, and it alone can answer what-if."""
 _TENTH: Final = 1.1
-"""A twin that was trusted stays so up to so many times the errors of ARX: the figure wanders from verdict to
-verdict."""
+"""A twin whose errors are up to so many times those of ARX is trusted: it alone can answer what-if."""
 BASELINES: Final = {
     "persistence": "saying that nothing changes",
     "arx": "a linear model without physics (ARX)",
@@ -213,11 +210,11 @@ class ForecastScore:
     ) -> dict[float, Shortfall]:
         """Where its forecasts do not pass the test, and why, by horizon, s; at the others they are trusted.
 
-        They pass if they are better than saying that nothing changes, by more than chance; if ARX has not been
-        better by more than a twentieth; and if their bands do not hold less than they promise, by more than
-        chance. At horizons that were `trusted` before, more is asked of the contrary: that nothing changes is as
-        good, that ARX has been better by more than a tenth, that bands hold less by more than chance. Where both
-        baselines are better, the better one is named.
+        They pass if they are better than saying that nothing changes, by more than chance; if ARX is not
+        better by more than chance and a tenth; and if their bands do not hold less than they promise, by more
+        than chance. At horizons that were `trusted` before, the contrary has to be shown: that ARX is better
+        by more than a tenth, by the upper end of its interval. Where both baselines are better, the better
+        one is named.
         """
         doubts = {h: self._doubt(k, held=h in trusted) for k, h in enumerate(horizons)}
         return {
@@ -255,21 +252,22 @@ class ForecastScore:
         )
 
     def _behind_arx(self, k: int, *, held: bool) -> Shortfall | None:
-        """As measured: of two forecasters one takes the one that erred less, by proof or not."""
-        error, sure = self._behind("arx", k)
-        if error > (_TENTH if held else _TWENTIETH):
+        error, sure = self._behind("arx", k, _TENTH if held else 1.0)
+        if error > _TENTH and sure > (ONE_SIDED if held else _SHOWN / 2.0):
             return Shortfall(_ARX.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
         return None
 
-    def _behind(self, baseline: str, k: int) -> tuple[float, float]:
+    def _behind(self, baseline: str, k: int, times: float = 1.0) -> tuple[float, float]:
         """How many times a baseline's error its own is at the k-th horizon, and by how many standard errors
-        it is worse than that; NaN where that is not known."""
+        it is worse than so many `times` that error; NaN where that is not known."""
         skill, high = (getattr(self, f"{baseline}_skill{end}") for end in ("", "_high"))
         if not skill or not high:
             return math.nan, math.nan
         worse = math.log(1.0 - skill[k])
         least = math.log(1.0 - high[k])
-        return 1.0 - skill[k], ONE_SIDED * worse / max(worse - least, _TINY)
+        return 1.0 - skill[k], ONE_SIDED * (worse - math.log(times)) / max(
+            worse - least, _TINY
+        )
 
 
 @dataclass(frozen=True)

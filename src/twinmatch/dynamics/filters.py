@@ -36,12 +36,14 @@ STALE = 1e6
 """Variance given to a reading that is not used."""
 
 
-ADAPTS = 0.05
-"""Relative change of the process noise per sample and unit of innovation² / variance − 1: some 20 samples."""
-SURPRISE = 9.0
-"""Most that one innovation² / variance counts: jumps of a self-correcting sensor are not the plant's."""
+ADAPTS = 0.07
+"""Relative change of the process noise per sample and unit of correlation: some 15 samples."""
+SURPRISE = 3.0
+"""Most that one innovation counts, in standard deviations: jumps of a self-correcting sensor are not the plant's."""
+LEAST_NOISE = 1e-3
+"""Least factor on the process noise: from there it is back at 1 after 15 samples of largest surprise."""
 MAX_NOISE = 1e8
-"""Greatest factor on the process noise; below 1, the drift that was given, it never falls."""
+"""Greatest factor."""
 
 
 SHARE, OFFSET, PASSING, FADING, PUSH, RATE = range(-6, 0)
@@ -334,25 +336,29 @@ def predict(  # noqa: PLR0917
 @compiled
 def adapt(
     process_noise: FloatArray,
-    factor: FloatArray,
+    adaptation: FloatArray,
     innovations: FloatArray,
     variances: FloatArray,
 ) -> None:
-    """Adapt the process noise, in place, to the innovations of a sample; `factor`, shape (1,), is how much it
-    exceeds the one given, or empty to leave it."""
-    if factor.size:
-        surprise = 0.0
-        for o in range(innovations.size):
-            surprise += (
-                min(innovations[o] * innovations[o] / variances[o], SURPRISE)
-                / innovations.size
-            )
-        after = min(
-            max(factor[0] * math.exp(ADAPTS * (surprise - 1.0)), 1.0), MAX_NOISE
-        )
-        for i in range(process_noise.size):
-            process_noise[i] *= after / factor[0]
-        factor[0] = after
+    """Adapt the process noise, in place, to the innovations of a sample of o outputs.
+
+    `adaptation`, shape (1 + o,), begins with the factor by which the process noise exceeds the one given; the
+    others are the innovations of the sample before, in standard deviations. Empty: nothing adapts.
+    """
+    if not adaptation.size:
+        return
+    outputs = innovations.size
+    correlation = 0.0
+    for o in range(outputs):
+        deviation = innovations[o] / math.sqrt(variances[o])
+        deviation = min(max(deviation, -SURPRISE), SURPRISE)
+        correlation += deviation * adaptation[1 + o] / outputs
+        adaptation[1 + o] = deviation
+    factor = adaptation[0] * math.exp(ADAPTS * correlation)
+    factor = min(max(factor, LEAST_NOISE), MAX_NOISE)
+    for i in range(process_noise.size):
+        process_noise[i] *= factor / adaptation[0]
+    adaptation[0] = factor
 
 
 @compiled
@@ -363,7 +369,7 @@ def follow(  # noqa: PLR0917
     x: FloatArray,
     covariances: FloatArray,
     process_noise: FloatArray,
-    factors: FloatArray,
+    adaptations: FloatArray,
     rows: FloatArray,
     steps: NDArray[np.int64],
     u: FloatArray,
@@ -422,7 +428,7 @@ def follow(  # noqa: PLR0917
                 )
                 if not np.isfinite(innovations.sum() + variances.sum()):
                     break
-                adapt(process_noise[i, :n], factors[i], innovations, variances)
+                adapt(process_noise[i, :n], adaptations[i], innovations, variances)
             counts[i] += 1
     return counts
 

@@ -3,8 +3,10 @@ slowly changing parameters.
 
 How far a plant drifts from its equations depends on what they leave out. An observer that is given too little
 of it holds on to its equations and no longer sees the readings: on a motor with stick-slip it was further off
-after one sample than the reading itself. So the assumed drift may be adapted to the innovations, until their
-squares equal their expected variance in the mean (covariance matching: Mehra, IEEE TAC 17, 1972).
+after one sample than the reading itself. One that is given too much follows the noise of each reading. So the
+assumed drift may be adapted until successive innovations are not correlated, which is so at the best filter
+whatever the readings' noise is (Mehra, IEEE TAC 15, 1970): they have the same sign while too little is
+assumed, and opposite ones while too much is.
 """
 
 from __future__ import annotations
@@ -48,8 +50,8 @@ class KernelArguments(NamedTuple):
     limit: float
     n_states: int
     n_disturbances: int
-    n_factors: int
-    """1 if it adapts, otherwise 0."""
+    n_adaptation: int
+    """Size of its `adaptation`."""
 
 
 class ObserverArrays(NamedTuple):
@@ -61,8 +63,9 @@ class ObserverArrays(NamedTuple):
     """Covariance of the states, shape (n, n)."""
     process_noise: FloatArray
     """Variances added in a period, shape (n,)."""
-    factor: FloatArray
-    """Factor on these, shape (1,), or (0,) if it does not adapt."""
+    adaptation: FloatArray
+    """By how much these exceed the variances given, and the newest innovations, as `filters.adapt` describes
+    them; shape (1 + o,), or (0,) if it does not adapt."""
     disturbances: FloatArray
     """Those at the newest sample, shape (d,)."""
 
@@ -102,7 +105,8 @@ class Observer:
             random_walks: m parameters that change slowly and are estimated like states, inside their bounds.
             limit: innovation, in standard deviations, to which larger ones are clipped: for sensors with
                 single wrong readings, such as a camera that corrects its flat field.
-            adaptive: assume more drift than given while the innovations are larger than expected.
+            adaptive: assume more drift than given while successive innovations have the same sign, and less
+                while they have opposite ones.
 
         Raises:
             PlantError: a value is invalid, a name is not a parameter, or the plant is too fast for the
@@ -134,7 +138,9 @@ class Observer:
         self._process_noise = (
             np.square(self._deviations("drift", rates, n + m)) * self._period
         )
-        self._factor = np.ones(int(adaptive))
+        self._adaptation = np.zeros(0)
+        if adaptive:
+            self._adaptation = np.array([1.0, *np.zeros_like(model.noise)])
         if not limit > 0:
             raise PlantError(
                 f"{model.title}: the observer's limit is {limit}; it must be positive"
@@ -241,7 +247,7 @@ class Observer:
         if not math.isfinite(correction[0].sum() + correction[1].sum()):
             msg = f"{self._title}: its equations have no finite value at the observer's states"
             raise PlantError(f"{msg}; start a new observer")
-        adapt(self._process_noise, self._factor, *correction)
+        adapt(self._process_noise, self._adaptation, *correction)
         return correction
 
     def predict(self, input: ArrayLike) -> None:
@@ -278,7 +284,7 @@ class Observer:
             limit=self._limit,
             n_states=self._states.size,
             n_disturbances=self._row.size,
-            n_factors=self._factor.size,
+            n_adaptation=self._adaptation.size,
         )
 
     def move_into(self, arrays: ObserverArrays) -> None:
@@ -286,12 +292,12 @@ class Observer:
         arrays.states[:] = self._states
         arrays.joint[:] = self._joint
         arrays.process_noise[:] = self._process_noise
-        arrays.factor[:] = self._factor
+        arrays.adaptation[:] = self._adaptation
         arrays.disturbances[:] = self._row
         self._states = arrays.states
         self._joint = arrays.joint
         self._process_noise = arrays.process_noise
-        self._factor = arrays.factor
+        self._adaptation = arrays.adaptation
         self._row = arrays.disturbances
 
     def _first_covariance(
@@ -358,7 +364,7 @@ class ObserverBank:
         self._noises = np.zeros((count, most))
         self._joints = np.zeros((count, most * most))
         self._rows = np.zeros((count, first.n_disturbances))
-        self._factors = np.zeros((count, first.n_factors))
+        self._adaptations = np.zeros((count, first.n_adaptation))
         for i, observer in enumerate(observers):
             n, m = self._sizes[i]
             self._vectors[i, :m] = all_arguments[i].vector
@@ -366,7 +372,7 @@ class ObserverBank:
                 states=self._states[i, :n],
                 joint=self._joints[i, : n * n].reshape(n, n),
                 process_noise=self._noises[i, :n],
-                factor=self._factors[i],
+                adaptation=self._adaptations[i],
                 disturbances=self._rows[i],
             )
             observer.move_into(arrays)
@@ -403,7 +409,7 @@ class ObserverBank:
             self._states,
             self._joints,
             self._noises,
-            self._factors,
+            self._adaptations,
             self._rows,
             self._steps,
             inputs_before,
