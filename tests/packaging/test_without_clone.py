@@ -106,9 +106,30 @@ def programs(installed: Path, tmp_path: Path) -> Iterator[Processes]:
     started.dismiss()
 
 
-def test_the_wheel_carries_share_and_profile(wheel: Path) -> None:
-    with zipfile.ZipFile(wheel) as archive:
+def lists_its_machine_code(archive: zipfile.ZipFile) -> None:
+    """Whether the wheel's record is that of its files, and machine code is among them."""
+    names = archive.namelist()
+    (record,) = (name for name in names if name.endswith(".dist-info/RECORD"))
+    rows = list(csv.reader(archive.read(record).decode().splitlines()))
+    for name, digest, size in rows:
+        if name != record:
+            content = archive.read(name)
+            hashed = base64.urlsafe_b64encode(hashlib.sha256(content).digest())
+            assert digest == f"sha256={hashed.rstrip(b'=').decode()}"
+            assert int(size) == len(content)
+    assert sorted(name for name, _, _ in rows) == sorted(names)
+    assert sum(name.endswith(".nbc") for name in names) > 30
+    structures = [s for plant in PLANTS.values() for s in plant.structures.values()]
+    codes = [name for name in names if name.startswith("twinmatch/machine_code/")]
+    assert 20 < len(codes) <= len(structures)
+
+
+def test_the_wheel_carries_share_profile_and_the_machine_code_that_it_lists(
+    ready_wheel_path: Path,
+) -> None:
+    with zipfile.ZipFile(ready_wheel_path) as archive:
         names = {name.split(".data/data/")[-1] for name in archive.namelist()}
+        lists_its_machine_code(archive)
     shared = [
         *(PROJECT / "config").iterdir(),
         *(PROJECT / "camera_server" / "src").rglob("*.py"),
@@ -121,24 +142,6 @@ def test_the_wheel_carries_share_and_profile(wheel: Path) -> None:
         "twinmatch/nodes/fastdds3_loopback.xml",
         "twinmatch/sessions/definitions/LoopSample.msg",
     }
-
-
-def test_the_wheel_lists_its_machine_code(ready_wheel_path: Path) -> None:
-    with zipfile.ZipFile(ready_wheel_path) as archive:
-        names = archive.namelist()
-        (record,) = (name for name in names if name.endswith(".dist-info/RECORD"))
-        rows = list(csv.reader(archive.read(record).decode().splitlines()))
-        for name, digest, size in rows:
-            if name != record:
-                content = archive.read(name)
-                hashed = base64.urlsafe_b64encode(hashlib.sha256(content).digest())
-                assert digest == f"sha256={hashed.rstrip(b'=').decode()}"
-                assert int(size) == len(content)
-    assert sorted(name for name, _, _ in rows) == sorted(names)
-    assert sum(name.endswith(".nbc") for name in names) > 30
-    structures = [s for plant in PLANTS.values() for s in plant.structures.values()]
-    codes = [name for name in names if name.startswith("twinmatch/machine_code/")]
-    assert 20 < len(codes) <= len(structures)
 
 
 def test_a_first_replay_from_the_wheel_compiles_nothing(
@@ -155,7 +158,7 @@ def test_a_first_replay_from_the_wheel_compiles_nothing(
     assert not list(cache.rglob("*.code"))
 
 
-def test_code_and_files_are_those_of_the_wheel(
+def test_code_and_files_are_those_of_the_wheel_and_it_begins_a_file_of_a_plant(
     installed: Path, programs: Processes, tmp_path: Path
 ) -> None:
     code = (
@@ -166,11 +169,6 @@ def test_code_and_files_are_those_of_the_wheel(
     assert process.wait() == 0, process.text
     assert len(process.lines) == 3
     assert all(Path(line).is_relative_to(installed.parent) for line in process.lines)
-
-
-def test_an_installed_program_begins_a_file_of_a_plant(
-    installed: Path, programs: Processes, tmp_path: Path
-) -> None:
     process = programs.start(
         installed / "twinmatch", "new-plant", "tank", folder=tmp_path
     )
