@@ -109,6 +109,41 @@ def test_the_files_of_several_loops_have_no_findings(
     runpy.run_path("test_zones_of_two.py")["test_its_parameters_are_recovered"]()
 
 
+def test_inputs_far_from_zero_count_from_their_middles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two reactors and their coolants in kelvin: without centres the rests are far below absolute zero, and no
+    window tells them from the gains."""
+    monkeypatch.chdir(tmp_path)
+    left = held([300, 302, 299, 303, 297], 1200, 150)
+    right = held([310, 306, 312, 309], 1200, 110)
+    steady = 1.8 * (left - 300.0) + 0.4 * (right - 309.0)
+    path = written(tmp_path / "reactors.csv", {
+        "time (s)": np.arange(1200.0),
+        "Left [K]": lagged(325.0 + steady, 60.0, 325.0, 1),
+        "Right [K]": lagged(340.0 + 1.2 * (right - 309.0), 90.0, 340.0, 2),
+        "LeftCoolant [K]": left,
+        "RightCoolant [K]": right,
+    })  # fmt: skip
+    named = [
+        "time=time",
+        "output.1=Left",
+        "output.2=Right",
+        "input.1=LeftCoolant",
+        "input.2=RightCoolant",
+    ]
+    proposal = propose_several(open_table(path), parse_map(named))
+    assert proposal.centres == pytest.approx((300.0, 309.0), abs=3.0)
+    for output, rest in zip(proposal.outputs, (325.0, 340.0), strict=True):
+        # The centres are up to 3 K from the truth's, and gains up to 1.8.
+        assert output.rest == pytest.approx(rest, abs=6.0)
+        assert 250.0 < output.signal.low < output.signal.high < 420.0
+    for name, text in files_of("reactors", proposal).items():
+        (tmp_path / name).write_text(text)
+    assert check_plant(find_plant("reactors.py")).findings == ()
+    runpy.run_path("test_reactors.py")["test_its_parameters_are_recovered"]()
+
+
 def test_a_table_of_two_loops_gives_the_map_of_both(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

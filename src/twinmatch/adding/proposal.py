@@ -209,7 +209,7 @@ def propose(
         table, sources, disturbance_names, resampled, names_in_file
     )
     around = around_of(output_unit, disturbances, resampled.columns)
-    centre = 0.0 if around is not None else _centre_of(drive_range)
+    centre = 0.0 if around is not None else centre_of(drive_range)
     noise, model = _estimated(resampled, disturbance_names, centre)
     if around is not None:
         model = model._replace(rest=float(around.values.mean()))
@@ -514,7 +514,7 @@ def word(title: str, names_in_file: list[str]) -> str:
     return plain
 
 
-def _centre_of(drive_range: tuple[float, float]) -> float:
+def centre_of(drive_range: tuple[float, float]) -> float:
     """The level from which the effect of an input is counted: 0, or its middle if 0 is farther than its range.
 
     An effect counted from far away hardly shows apart from a rest.

@@ -19,6 +19,7 @@ from twinmatch.adding.proposal import (
     Signal,
     around_of,
     by_names_in_file,
+    centre_of,
     disturbance_signals,
     is_signal,
     note_on_period,
@@ -57,7 +58,7 @@ class LaggedOutput:
     lag: float
     """Time constant, s."""
     rest: float
-    """Steady-state output without inputs; with `around`, its excess over that."""
+    """Steady-state output with the inputs at their centres; with `around`, its excess over that."""
     around: Signal | None
     """The measured disturbance that it tends to without inputs."""
 
@@ -68,6 +69,8 @@ class SeveralProposal:
 
     outputs: tuple[LaggedOutput, ...]
     inputs: tuple[Signal, ...]
+    centres: tuple[float, ...]
+    """The level of each input from which its effects are counted; 0, unless it stays far from that."""
     disturbances: tuple[Signal, ...]
     period: float
     """Sampling period, s."""
@@ -126,18 +129,31 @@ def propose_several(
     columns = {
         name: column[longest_stretch] for name, column in resampled.columns.items()
     }
-    moving = [columns[name] for name in (*names.inputs, *names.disturbances)]
+    surroundings = [
+        around_of(unit_of(table, sources, name), disturbances, columns)
+        for name in names.outputs
+    ]
+    # What an output tends to without inputs is known where it is measured.
+    centres = (
+        tuple(centre_of((u.low, u.high)) for u in inputs)
+        if not any(surroundings)
+        else (0.0,) * len(inputs)
+    )
+    drives = [
+        _Drive(columns[name] - centre, u.low - centre, u.high - centre)
+        for name, u, centre in zip(names.inputs, inputs, centres, strict=True)
+    ]
+    measured = [columns[name] for name in names.disturbances]
     outputs = []
-    for name in names.outputs:
+    for name, around in zip(names.outputs, surroundings, strict=True):
         unit = unit_of(table, sources, name)
         signal = Signal(signal_name(sources, name, names_in_file), unit, 0.0, 0.0)
-        around = around_of(unit, disturbances, columns)
         outputs.append(
             _lagged(
                 signal,
                 columns[name],
-                moving,
-                inputs,
+                drives,
+                measured,
                 period=resampled.period,
                 around=around,
             )
@@ -147,6 +163,7 @@ def propose_several(
     return SeveralProposal(
         outputs=tuple(outputs),
         inputs=tuple(inputs),
+        centres=centres,
         disturbances=tuple(disturbances.values()),
         period=period,
         sources=by_names_in_file(signal_map, disturbances),
@@ -178,25 +195,34 @@ class _NamesByRole(NamedTuple):
         return cls(outputs, inputs, [name for name in names if name not in others])
 
 
+class _Drive(NamedTuple):
+    """An input, counted from its centre."""
+
+    values: FloatArray
+    """Shape (N,)."""
+    low: float
+    high: float
+
+
 def _lagged(
     signal: Signal,
     reading: FloatArray,
-    moving: Sequence[FloatArray],
-    inputs: Sequence[Signal],
+    drives: Sequence[_Drive],
+    measured: Sequence[FloatArray],
     *,
     period: float,
     around: Around | None,
 ) -> LaggedOutput:
-    """The lag of one output, of its readings, shape (N,), and what moves it: inputs, then disturbances."""
-    noise = noise_of(reading, moving)
+    """The lag of one output, of its readings, shape (N,), and what moves it: inputs and disturbances."""
+    commanded = [drive.values for drive in drives]
+    noise = noise_of(reading, [*commanded, *measured])
     quiet = without_spikes(reading, noise)
     excess = quiet if around is None else quiet - around.values
-    drives = moving[: len(inputs)]
-    gains, lag, rest = _first_order(excess, drives, noise, period)
+    gains, lag, rest = _first_order(excess, commanded, noise, period)
     reach = float(np.ptp(reading)) or 1.0
     level = 0.0 if around is None else float(around.values.mean())
     steady = [level + rest]
-    for gain, drive in zip(gains, inputs, strict=True):
+    for gain, drive in zip(gains, drives, strict=True):
         steady += [level + rest + gain * limit for limit in (drive.low, drive.high)]
     low = min(float(reading.min()), *steady) - reach
     high = max(float(reading.max()), *steady) + reach

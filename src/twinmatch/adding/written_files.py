@@ -206,8 +206,8 @@ def _output(
     y = output.signal
     reach = y.high - y.low
     gains = []
-    for input_number, (gain, u) in enumerate(
-        zip(output.gains, proposal.inputs, strict=True), 1
+    for input_number, (gain, u, centre) in enumerate(
+        zip(output.gains, proposal.inputs, proposal.centres, strict=True), 1
     ):
         most = rounded(reach / (u.high - u.low))
         gains.append(
@@ -218,6 +218,7 @@ def _output(
                 "most": most,
                 "scale": rounded(most / 10),
                 "input": u.name,
+                "centre": centre,
             }
         )
     low, high = (-reach, reach) if output.around else (y.low, y.high)
@@ -234,6 +235,7 @@ def _output(
         "rest_high": rounded(high, 4),
         "rest_scale": rounded(reach / 10),
         "gains": gains,
+        "centred": any(proposal.centres),
         "around": output.around.name if output.around else "",
     }
 
