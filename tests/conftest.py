@@ -8,9 +8,11 @@ import gc
 import math
 import os
 import signal
+import sys
 import tempfile
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -170,18 +172,21 @@ def pytest_xdist_auto_num_workers() -> int:
     return 3 * (os.cpu_count() or 1)
 
 
+def _refuse(why: str) -> NoReturn:
+    """End the run; of a worker's error pytest-xdist shows the place where it was noticed, and not the words."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        print(why, file=sys.__stderr__, flush=True)
+    raise pytest.UsageError(why)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What waits begins first; the order within a folder stays."""
     long_tests = [item for item in items if item.get_closest_marker("long") is not None]
     if len(long_tests) > LONG_TESTS:
-        raise pytest.UsageError(
-            f"{len(long_tests)} tests are marked long; at most {LONG_TESTS} may be"
-        )
+        _refuse(f"{len(long_tests)} tests are marked long; at most {LONG_TESTS} may be")
     for item in long_tests:
         if not reason_of(item):
-            raise pytest.UsageError(
-                f"{item.nodeid}: say why it is long: @pytest.mark.long('…')"
-            )
+            _refuse(f"{item.nodeid}: say why it is long: @pytest.mark.long('…')")
     folders = {name: place for place, name in enumerate(FIRST)}
     items.sort(
         key=lambda item: folders.get(item.path.relative_to(TESTS).parts[0], len(FIRST))
