@@ -825,10 +825,12 @@ def test_a_recording_of_several_loops_is_checked_over_all_of_them() -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [FIRST, SECOND],
+    ("name", "structure"),
+    [(FIRST, "box with mass"), (SECOND, "box with mass, sensor lag")],
 )
-def test_check_and_verdict_name_the_same_structure(name: str, tmp_path: Path) -> None:
+def test_check_and_verdict_name_the_same_structure(
+    name: str, structure: str, tmp_path: Path
+) -> None:
     """Of those that are watched beside a plant; the others are compared by the check alone."""
     if not (OTHERS / "incubator" / f"{name}.csv").exists():
         pytest.skip(
@@ -855,14 +857,15 @@ def test_check_and_verdict_name_the_same_structure(name: str, tmp_path: Path) ->
     session = open_any(out)
     verdict = judge(session, terms_from_files(session)).verdicts[-1]
     notes = check_data(session, Incubator).notes
-    assert verdict.structure == "box with mass"
+    assert verdict.structure == structure
     error_words = {
         note.split(":")[0].strip(): note.split("off by ")[1]
         for note in notes
         if "off by" in note
     }
-    beside = [model.structure_name for model in watched(Incubator)]
-    assert (
-        min(beside, key=lambda watched: float(error_words[watched].split(" ")[0]))
-        == verdict.structure
-    )
+    errors = {
+        model.structure_name: float(error_words[model.structure_name].split(" ")[0])
+        for model in watched(Incubator)
+    }
+    # Of structures that err alike the one with the fewest parameters is chosen; poorer ones err twice as much.
+    assert errors[verdict.structure] < 1.1 * min(errors.values())

@@ -195,7 +195,6 @@ class Incubator(Plant, name="incubator"):
             free=(*_HEAVY, "sensor_lag"),
             parts=frozenset({_BED, _BOX, _LAG}),
             free_starts=("bed", "box"),
-            watched=False,
         ),
     }
 
