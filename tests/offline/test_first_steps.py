@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.newcomers import KINDS, PrintedCourse, UnknownPlant, kettle, lead
 from tests.support.processes import run_twinmatch
-from twinmatch.adding import propose
+from twinmatch.adding import check_plant, propose
 from twinmatch.adding.held_input import begun_at_rest, is_held
 from twinmatch.importing.tables import read_table
 from twinmatch.offline.separation import inseparable_in
@@ -167,6 +167,22 @@ def test_what_is_said_of_a_plant_without_a_recording_is_checked(
     assert refused.returncode == 2
     assert message in refused.stderr
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "measured",
+    ["air [°F] 40 to 110", "block [K] 280 to 400", "speed [rpm] -3000 to 3000", "level 0 to 9"],
+)  # fmt: skip
+def test_what_is_written_where_nothing_is_recorded_has_no_findings(
+    measured: str, tmp_path: Path
+) -> None:
+    """Whatever its unit and range: losses that grow with the distance from rest let no output run away."""
+    words = ["--measured", measured, "--moved", "drive [%] 0 to 100", "--takes", "30"]
+    made = run_twinmatch(
+        "new-plant", "bare", "--nothing-recorded", *words, "-o", tmp_path
+    )
+    assert made.returncode == 0, made.stderr
+    assert check_plant(find_plant(str(tmp_path / "bare.py"))).findings == ()
 
 
 @pytest.mark.parametrize("kind", [kettle])

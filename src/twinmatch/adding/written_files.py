@@ -22,12 +22,6 @@ from twinmatch.units import is_readable
 
 _WIDE: Final = 20.0
 """Bounds of gain and lag are this factor below and above; a first guess is rarely further off."""
-_BENT: Final = 0.1
-"""By how much losses have grown over the whole range, to begin with, where nothing is recorded."""
-_BENT_LEAST: Final = 0.4
-"""By how much they may have fallen over the whole range: with half, they would not grow with the output."""
-_TEMPERATURES: Final = frozenset({"°C", "°F", "K"})
-"""Units of what loses heat, whose losses bend by radiation; those of others grow with a power."""
 _SMOOTH: Final = 0.01
 """Distance from rest within which a power of it is smoothed, as a share of the range."""
 _DEAD_ORDER: Final = 2
@@ -119,7 +113,6 @@ def _plant(name: str, proposal: Proposal) -> dict[str, Any]:
     u = proposal.input
     around = proposal.around
     free = ["gain", "lag", "load" if around else "rest"]
-    radiates = proposal.assumed and y.unit in _TEMPERATURES
     low, high = sorted((proposal.gain / _WIDE, proposal.gain * _WIDE))
     middles = [
         d._asdict() | {"middle": rounded((d.low + d.high) / 2, 4)}
@@ -132,9 +125,6 @@ def _plant(name: str, proposal: Proposal) -> dict[str, Any]:
         "gain": proposal.gain,
         "lag": proposal.lag,
         "assumed": proposal.assumed,
-        "bend": rounded(_BENT / (y.high - y.low)) if radiates else None,
-        "bend_least": rounded(-_BENT_LEAST / (y.high - y.low)),
-        "bend_most": rounded(1.0 / (y.high - y.low)),
         "half_range": rounded((y.high - y.low) / 2),
         "smooth": rounded(_SMOOTH * (y.high - y.low)),
         "bend_unit": _per("1", "K"),
