@@ -170,19 +170,24 @@ def test_what_is_said_of_a_plant_without_a_recording_is_checked(
 
 
 @pytest.mark.parametrize(
-    "measured",
-    ["air [°F] 40 to 110", "block [K] 280 to 400", "speed [rpm] -3000 to 3000", "level 0 to 9"],
-)  # fmt: skip
+    ("name", "measured"),
+    [
+        ("warm_air", "air [°F] 40 to 110"),
+        ("warm_block", "block [K] 280 to 400"),
+        ("shaft", "speed [rpm] -3000 to 3000"),
+        ("filled", "level 0 to 9"),
+    ],
+)
 def test_what_is_written_where_nothing_is_recorded_has_no_findings(
-    measured: str, tmp_path: Path
+    name: str, measured: str, tmp_path: Path
 ) -> None:
     """Whatever its unit and range: losses that grow with the distance from rest let no output run away."""
     words = ["--measured", measured, "--moved", "drive [%] 0 to 100", "--takes", "30"]
     made = run_twinmatch(
-        "new-plant", "bare", "--nothing-recorded", *words, "-o", tmp_path
+        "new-plant", name, "--nothing-recorded", *words, "-o", tmp_path
     )
     assert made.returncode == 0, made.stderr
-    assert check_plant(find_plant(str(tmp_path / "bare.py"))).findings == ()
+    assert check_plant(find_plant(str(tmp_path / f"{name}.py"))).findings == ()
 
 
 @pytest.mark.parametrize("kind", [kettle])
