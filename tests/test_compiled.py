@@ -20,6 +20,7 @@ from packaging.requirements import Requirement
 
 from tests.support.processes import Process
 from twinmatch.compiled import NumbaError, check_version, compiled
+from twinmatch.kernel_turns import Turn
 
 OURS = "from twinmatch.compiled import compiled"
 NUMBAS = "import numba\ncompiled = numba.njit(cache=True)"
@@ -107,6 +108,8 @@ INSIDES = {
     "caching:CompileResultCacheImpl.rebuild": ("self", "target_context", "payload"),
     "caching:CompileResultCacheImpl.reduce": ("self", "cres"),
     "caching:FunctionCache._impl_class": None,
+    "caching:FunctionCache.save_overload": ("self", "sig", "data"),
+    "caching:FunctionCache.cache_path": None,
     "caching:FunctionCache._index_key": ("self", "sig", "codegen"),
     "caching:FunctionCache._load_overload": ("self", "sig", "target_context"),
     "caching:FunctionCache.load_overload": ("self", "sig", "target_context"),
@@ -464,3 +467,91 @@ def test_after_a_kernel_cannot_be_compiled_the_collector_runs_again() -> None:
         wrong(1.0)
     assert gc.isenabled()
     assert event.broadcast is heard
+
+
+WAITING = """
+import runpy, sys
+from twinmatch.compiled import before_kernels, told
+told.append(lambda name: print("needs", name, flush=True))
+before_kernels.append(lambda: print("compiles", flush=True))
+sys.path.insert(0, {folder!r})
+runpy.run_path({entry!r}, run_name="__main__")
+"""
+
+
+def test_a_kernel_that_another_process_compiles_is_waited_for_and_taken(
+    tmp_path: Path,
+) -> None:
+    write(tmp_path)
+    assert run(tmp_path) == "7.0 compiled"
+    kept = tmp_path / "__pycache__"
+    aside = tmp_path / "aside"
+    aside.mkdir()
+    kernels = list(kept.glob("entry.*.nb[ic]"))
+    for file in kernels:
+        shutil.move(file, aside / file.name)
+    other = Turn("entry")
+    other.take(str(kept), lambda: None)
+    process = start_waiting(tmp_path)
+    process.said("^needs entry$")
+    for file in kernels:
+        shutil.move(aside / file.name, file)
+    other.give_back()
+    assert process.wait() == 0, process.text
+    assert process.lines == ["needs entry", "7.0 kept"]
+
+
+def test_a_process_compiles_what_another_one_gave_up(tmp_path: Path) -> None:
+    write(tmp_path)
+    kept = tmp_path / "__pycache__"
+    kept.mkdir()
+    other = Turn("entry")
+    other.take(str(kept), lambda: None)
+    process = start_waiting(tmp_path)
+    process.said("^needs entry$")
+    other.give_back()
+    assert process.wait() == 0, process.text
+    assert process.lines == ["needs entry", "compiles", "needs entry", "7.0 compiled"]
+
+
+def start_waiting(folder: Path) -> Process:
+    """A process that calls the entry, and says which kernels it needs and when it compiles one."""
+    start = folder / "start.py"
+    start.write_text(WAITING.format(folder=str(folder), entry=str(folder / "entry.py")))
+    without_numbas = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA")}
+    return Process(
+        sys.executable, start, output=folder / "said.txt", environment=without_numbas
+    )
+
+
+FAILING = """
+import signal
+from twinmatch.compiled import compiled
+
+@compiled
+def wrong(x):
+    return x + "no sum"
+
+try:
+    wrong(1.0)
+except Exception:
+    print("failed", flush=True)
+    signal.pause()
+"""
+
+
+def test_nobody_waits_for_a_kernel_that_could_not_be_compiled(tmp_path: Path) -> None:
+    script = tmp_path / "failing.py"
+    script.write_text(FAILING)
+    without_numbas = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA")}
+    process = Process(
+        sys.executable, script, output=tmp_path / "said.txt", environment=without_numbas
+    )
+    process.said("^failed$")
+    waited: list[bool] = []
+    turn = Turn("wrong")
+    turn.take(str(tmp_path / "__pycache__"), lambda: waited.append(True))
+    turn.give_back()
+    process.kill()
+    assert (tmp_path / "__pycache__" / "wrong.lock").exists()
+    assert not waited

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import re
+import signal
 import sys
 from pathlib import Path
+
+import pytest
 
 from tests.support.places import SHIPPED
 from tests.support.processes import Process
 from tests.support.waiting import wait_for
+from twinmatch.offline.processes import cores
 from twinmatch.sessions import read_session, write_session
 
 USE = """
@@ -45,6 +51,68 @@ if __name__ == "__main__":
     print(compile_beside(signal.pause).pid, flush=True)
     signal.pause()
 """
+
+
+SECOND_COMPILER = """
+import multiprocessing, signal
+from twinmatch.cli.prepare import second_compiler
+from twinmatch.compiled import compiled
+from twinmatch.dynamics.store import kernels_of
+from twinmatch.plants import PLANTS
+
+@compiled
+def doubled(x):
+    return 2.0 * x
+
+def say_processes():
+    print(len(multiprocessing.active_children()), flush=True)
+
+if __name__ == "__main__":
+    with second_compiler(signal.pause):
+        kernels_of(PLANTS["peltier"], frozenset(), frozenset())
+        say_processes()
+        doubled(1.0)
+        say_processes()
+        doubled(1)
+        say_processes()
+    say_processes()
+    with second_compiler(signal.pause):
+        doubled(2.0)
+        say_processes()
+"""
+
+
+@pytest.mark.skipif(cores() == 1, reason="a second process is for a second core")
+def test_a_second_process_compiles_from_the_first_kernel_to_the_end_of_the_work(
+    tmp_path: Path,
+) -> None:
+    script = tmp_path / "second.py"
+    script.write_text(SECOND_COMPILER)
+    folders = {
+        "TWINMATCH_CACHE": str(tmp_path / "equations"),
+        "NUMBA_CACHE_DIR": str(tmp_path / "kernels"),
+    }
+    process = Process(
+        sys.executable,
+        script,
+        output=tmp_path / "said.txt",
+        environment=os.environ | folders,
+    )
+    assert process.wait() == 0, process.text
+    assert list((tmp_path / "equations").glob("equations_*.code"))
+    # equations alone, a kernel, another kernel, after the work, and with a kernel that is on disk
+    assert process.lines == ["0", "1", "1", "0", "0"]
+
+
+def test_ctrl_c_does_not_reach_what_compiles_beside(tmp_path: Path) -> None:
+    script = tmp_path / "prepare.py"
+    script.write_text(COMPILE_BESIDE)
+    process = Process(sys.executable, script, output=tmp_path / "said.txt")
+    second = int(process.said(r"^\d+$").group())
+    status = Path(f"/proc/{second}/status").read_text()
+    blocked = int(re.findall(r"^SigBlk:\s*(\w+)$", status, re.MULTILINE)[0], 16)
+    process.kill()
+    assert blocked & 1 << (signal.SIGINT - 1)
 
 
 def test_what_compiles_beside_ends_when_prepare_is_killed(tmp_path: Path) -> None:

@@ -36,6 +36,7 @@ from numba.core.runtime import rtsys
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.kernel_stamps import OPTIONS, fields_of, hash_of_file, stamp_of
+from twinmatch.kernel_turns import Turn
 from twinmatch.processor import COMMON, processor
 
 _NEWEST: Final = (0, 68)
@@ -116,6 +117,8 @@ _load_lapack()
 
 told: Final[list[Callable[[str], None]]] = []
 """Those that want to know what is compiled now."""
+before_kernels: Final[list[Callable[[], None]]] = []
+"""Called before a kernel is compiled, by the thread that compiles it."""
 
 _OWN_SOURCE: Final = hash_of_file(__file__)
 """This module, as it was imported: how kernels are compiled."""
@@ -180,10 +183,13 @@ def compiled(
     if inside or inlined or innermost:
         return part
     kernel = numba.njit(nogil=True, error_model="numpy")(function)
-    kernel._compiler.compile = functools.partial(_compile_entry, part, addressed)
+    turn = Turn(function.__qualname__)
+    kernel._compiler.compile = functools.partial(
+        _compile_in_turn, turn, part, addressed
+    )
     kernel.get_call_template = part.get_call_template
     kernel.get_overload = part.get_overload
-    kernel._cache = _Cache(function)
+    kernel._cache = _Cache(function, turn)
     return kernel
 
 
@@ -295,13 +301,31 @@ def _compile_part(compile_: Callable[..., Any], *args: Any) -> Any:
         codegen._library_class, codegen.set_env = before
 
 
+def _compile_in_turn(
+    turn: Turn, part: Any, addressed: bool, args: Any, return_type: Any
+) -> Any:
+    """An entry point from Python; the turn ends when it is kept on disk, or could not be compiled."""
+    for begin in before_kernels:
+        begin()
+    _tell(part.py_func)
+    try:
+        return _compile_entry(part, addressed, args, return_type)
+    except BaseException:
+        turn.give_back()
+        raise
+
+
+def _tell(function: Callable[..., Any]) -> None:
+    """Tell that a kernel is compiled now, here or by a process that is waited for."""
+    for tell in told:
+        tell(function.__name__.strip("_").replace("_", " "))
+
+
 def _compile_entry(part: Any, addressed: bool, args: Any, return_type: Any) -> Any:  # noqa: ARG001
     """An entry point from Python: the kernel with all that it calls, optimised once.
 
     Parallel sums are combined into vector instructions; each sum still has a fixed order.
     """
-    for tell in told:
-        tell(part.py_func.__name__.strip("_").replace("_", " "))
     with _undisturbed():
         part.compile(tuple(args))
     compiled = part.overloads[tuple(args)]
@@ -329,13 +353,14 @@ def _compile_entry(part: Any, addressed: bool, args: Any, return_type: Any) -> A
 class _Cache:
     """numba's cache of a kernel, created on first use, when everything that the kernel names is defined."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], turn: Turn) -> None:
         self._function = function
+        self._turn = turn
 
     @functools.cached_property
     def _kernel_cache(self) -> Any:
         try:
-            return _KernelCache(self._function)
+            return _KernelCache(self._function, self._turn)
         except RuntimeError:
             # no folder to write to, neither beside the source nor in the user's home
             return NullCache()
@@ -389,8 +414,10 @@ def _environment(module: str, constants: list[Any], name: str) -> Environment:
 class _KernelCache(FunctionCache):
     _impl_class = _KernelFiles
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], turn: Turn) -> None:
         super().__init__(function)
+        self._turn = turn
+        self._tell = functools.partial(_tell, function)
         self._read_index = self._cache_file._load_index
         self._cache_file._load_index = self._index
 
@@ -405,9 +432,21 @@ class _KernelCache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         # numba would load its whole compiler first (a fifth of a second), needed only to compile.
         rtsys.initialize(target_context)
-        return self._load_overload(sig, target_context) or super().load_overload(
-            sig, target_context
-        )
+        kernel = self._load_overload(sig, target_context)
+        if kernel is not None:
+            return kernel
+        self._turn.take(self.cache_path, self._tell)
+        # another process may have compiled it in the meantime
+        kernel = super().load_overload(sig, target_context)
+        if kernel is not None:
+            self._turn.give_back()
+        return kernel
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            super().save_overload(sig, data)
+        finally:
+            self._turn.give_back()
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         # numba identifies named-tuple arguments by class name only; their fields may change.

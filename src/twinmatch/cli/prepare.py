@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import argparse
-import multiprocessing
-from collections.abc import Callable, Iterable
-from multiprocessing.process import BaseProcess
+import contextlib
+import signal
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING
 
 from twinmatch.cli.shared import Progress
+from twinmatch.compiled import before_kernels
 from twinmatch.dynamics import Plant
 from twinmatch.dynamics.prepare import prepare
 from twinmatch.kept import cache_folder
-from twinmatch.offline.processes import end_with_parent
+from twinmatch.offline.processes import cores, end_with_parent
 from twinmatch.plants import PLANTS, find_plant
 from twinmatch.signals import FloatArray
+
+if TYPE_CHECKING:
+    from multiprocessing.process import BaseProcess
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,30 +45,68 @@ def run(options: argparse.Namespace) -> int:
 def _compile_all() -> int:
     """Compile all that comes with twinmatch; returns the exit code.
 
-    A compiler uses one core, so two processes compile. The engine uses what the others compile.
+    A compiler uses one core, so two processes compile. The engine uses what the other one compiles, and waits
+    for it kernel by kernel.
     """
-    models = compile_beside(compare_models)
+    others = compile_beside(compare_models, judge_channels)
     derive_plants(PLANTS.values())
-    models.join()
-    channels = compile_beside(judge_channels)
     judge_a_loop()
     search_once()
-    channels.join()
-    return models.exitcode or channels.exitcode or 0
+    others.join()
+    return others.exitcode or 0
 
 
-def compile_beside(use: Callable[[], object]) -> BaseProcess:
-    """A process of its own for some kernels; it ends with this one, also if this one is killed."""
+@contextlib.contextmanager
+def second_compiler(*uses: Callable[[], object]) -> Iterator[None]:
+    """Within the block, a second process compiles the kernels that these functions use.
+
+    It begins when this process compiles a first kernel, and is ended with the block. On a single core there is
+    none.
+    """
+    processes: list[BaseProcess] = []
+
+    def begin() -> None:
+        if not processes:
+            processes.append(compile_beside(*uses))
+
+    if cores() > 1:
+        before_kernels.append(begin)
+    try:
+        yield
+    finally:
+        if begin in before_kernels:
+            before_kernels.remove(begin)
+        for process in processes:
+            process.terminate()
+            process.join()
+
+
+def compile_beside(*uses: Callable[[], object]) -> BaseProcess:
+    """A process of its own for the kernels that these functions use, in turn.
+
+    It ends with this one, also if this one is killed; Ctrl-C is handled by this one only.
+    """
+    import multiprocessing  # noqa: PLC0415
+    from multiprocessing import resource_tracker  # noqa: PLC0415
+
     process = multiprocessing.get_context("spawn").Process(
-        target=_use, args=(use,), daemon=True
+        target=_use, args=(uses,), daemon=True
     )
-    process.start()
+    # Python starts it with the first process, and unblocks the signal then
+    resource_tracker.ensure_running()
+    # inherited by the new process
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        process.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
     return process
 
 
-def _use(use: Callable[[], object]) -> None:
+def _use(uses: Iterable[Callable[[], object]]) -> None:
     end_with_parent()
-    use()
+    for use in uses:
+        use()
 
 
 def derive_plants(plants: Iterable[type[Plant]]) -> None:

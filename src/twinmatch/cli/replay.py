@@ -10,6 +10,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from twinmatch.cli.prepare import compare_models, second_compiler
 from twinmatch.cli.shared import (
     TERMS,
     Progress,
@@ -91,6 +92,11 @@ def _replay_one(path: Path, options: argparse.Namespace) -> None:
     plain lines elsewhere."""
 
     session = open_shown(path, options.plant)
+    with second_compiler(compare_models):
+        _judge_and_show(session, options)
+
+
+def _judge_and_show(session: Session, options: argparse.Namespace) -> None:
     terms = terms_from_files(session, options.config, options.candidates)
     with _display(session) as (view, advance):
         judgement = judge(session, terms, beside=advance)
