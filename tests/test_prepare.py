@@ -86,22 +86,33 @@ if __name__ == "__main__":
 def test_a_second_process_compiles_from_the_first_kernel_to_the_end_of_the_work(
     tmp_path: Path,
 ) -> None:
-    script = tmp_path / "second.py"
+    # equations alone, a kernel, another kernel, after the work, and with a kernel that is on disk
+    assert processes_said_by("__main__.py", tmp_path) == ["0", "1", "1", "0", "0"]
+    assert list((tmp_path / "equations").glob("equations_*.code"))
+
+
+def test_a_script_that_calls_a_command_is_not_run_by_a_second_process(
+    tmp_path: Path,
+) -> None:
+    assert processes_said_by("calls.py", tmp_path) == ["0"] * 5
+
+
+def processes_said_by(name: str, folder: Path) -> list[str]:
+    """Numbers of second processes that a program of this name says."""
+    script = folder / name
     script.write_text(SECOND_COMPILER)
     folders = {
-        "TWINMATCH_CACHE": str(tmp_path / "equations"),
-        "NUMBA_CACHE_DIR": str(tmp_path / "kernels"),
+        "TWINMATCH_CACHE": str(folder / "equations"),
+        "NUMBA_CACHE_DIR": str(folder / "kernels"),
     }
     process = Process(
         sys.executable,
         script,
-        output=tmp_path / "said.txt",
+        output=folder / "said.txt",
         environment=os.environ | folders,
     )
     assert process.wait() == 0, process.text
-    assert list((tmp_path / "equations").glob("equations_*.code"))
-    # equations alone, a kernel, another kernel, after the work, and with a kernel that is on disk
-    assert process.lines == ["0", "1", "1", "0", "0"]
+    return process.lines
 
 
 def test_ctrl_c_does_not_reach_what_compiles_beside(tmp_path: Path) -> None:

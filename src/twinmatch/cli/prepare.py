@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import signal
+import sys
 from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 from twinmatch.cli.shared import Progress
 from twinmatch.compiled import before_kernels
@@ -19,6 +21,9 @@ from twinmatch.signals import FloatArray
 
 if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
+
+_PROGRAMS: Final = ("twinmatch", "__main__.py")
+"""Names of programs that do nothing when a new process imports them: the command, and `python -m`."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,7 +66,7 @@ def second_compiler(*uses: Callable[[], object]) -> Iterator[None]:
     """Within the block, a second process compiles the kernels that these functions use.
 
     It begins when this process compiles a first kernel, and is ended with the block. On a single core there is
-    none.
+    none, nor in a script that calls a command: a new process would run the script again.
     """
     processes: list[BaseProcess] = []
 
@@ -69,7 +74,8 @@ def second_compiler(*uses: Callable[[], object]) -> Iterator[None]:
         if not processes:
             processes.append(compile_beside(*uses))
 
-    if cores() > 1:
+    is_command = Path(sys.argv[0]).name in _PROGRAMS
+    if is_command and cores() > 1:
         before_kernels.append(begin)
     try:
         yield
