@@ -261,7 +261,7 @@ def _drive_effects(  # noqa: PLR0917
     in `PastArrays`, results as in `Stretch`, shape (k, 4).
 
     Each is simulated under the recorded inputs, with the drive at rest, and with it as it `stood`; the first
-    and the last go on for `later` samples, for which the last but one input is held on, as are the disturbances.
+    and the last continue for `later` samples, for which the last but one input is held on, as are the disturbances.
     The output is read as `dynamics.read` does; an `instant` one shows the last input at the end and, where the
     drive did not follow the recorded inputs, the first: estimated states suit that.
     """
