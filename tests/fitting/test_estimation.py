@@ -212,6 +212,18 @@ def test_gradient_and_information_are_those_of_the_residuals(record: Recorder) -
     assert np.isfinite(posed.evaluate(posed.lower).hessian).all()
 
 
+def test_a_sum_is_exact_unless_it_is_too_large(record: Recorder) -> None:
+    """One above the most that is asked is only known to be above it."""
+    posed = problem(record(TRUTH, seed=1))
+    near = posed.evaluate(posed.values_of(TRUTH))
+    again = posed.evaluate(near.values, near.cost)
+    assert again.cost == near.cost
+    assert again.hessian.tolist() == near.hessian.tolist()
+    far = posed.evaluate(posed.lower)
+    cut_short = posed.evaluate(posed.lower, near.cost)
+    assert near.cost < cut_short.cost < far.cost
+
+
 def test_what_is_not_seen_has_infinite_covariance() -> None:
     window = Window(
         np.full(60, 296.0 - KELVIN), np.full(60, 296.0 - KELVIN), np.zeros(60)

@@ -101,6 +101,30 @@ def test_the_lines_import_what_they_use() -> None:
     assert any("replace" in "".join(lines) for lines in lines_of.values())
 
 
+def test_only_effects_that_could_win_are_fitted() -> None:
+    """One that leaves only noise ends the search before those that add more values."""
+    base = Lag.model().parameters()
+    n_without = base.model.structure.n_parameters()
+
+    def fitted(independent: float, left: float, left_by_first: float) -> list[int]:
+        """How many values each fitted effect adds, if the first of them leaves so much and the others all."""
+        added: list[int] = []
+
+        def fit(start: Parameters) -> tuple[Parameters, float]:
+            added.append(start.model.structure.n_parameters() - n_without)
+            return start, left_by_first if len(added) == 1 else left
+
+        lack_of(base, 1.0, left, independent, fit)
+        return added
+
+    of_all = fitted(100.0, 100.0, 100.0)
+    assert of_all == sorted(of_all)
+    assert set(of_all) > {1, 2}
+    assert fitted(100.0, 100.0, 1.0) == [1]
+    assert set(fitted(6.0, 20.0, 20.0)) == {1, 2, 3}
+    assert fitted(4.0, 3.5, 1.0) == []
+
+
 class NamedOutput(Lag, name="named_output"):
     """The same plant, whose file names its only output, as one of several loops does."""
 

@@ -117,7 +117,7 @@ def test_every_lid_is_reported_until_it_is_closed(
 
 NOISE = 0.1
 """Of a reading, °C."""
-STILL = Movement(0.0, 0.0, 0.0)
+STILL = 0.0
 
 
 def test_the_share_is_what_the_plate_shows_of_the_drive() -> None:
@@ -173,10 +173,10 @@ def test_a_reading_may_stay_at_an_end_of_the_span(inward: float) -> None:
     repeats = Repeats(1.0, 10.0, NOISE)
     noisy(repeats, 200)
     for _ in range(40):
-        repeats.push(0.0, Movement(-inward, 0.0, inward), inward)  # driven further out
+        repeats.push(0.0, -inward, inward)  # driven further out
     assert not repeats.stands
     for _ in range(80):
-        repeats.push(0.0, Movement(inward, 0.0, -inward), inward)
+        repeats.push(0.0, inward, inward)
     assert repeats.stands
 
 
@@ -215,7 +215,7 @@ def test_a_sensor_without_noise_stands_still_only_if_the_plate_should_move() -> 
         repeats.push(0.0, STILL)
         assert not repeats.stands
     for _ in range(4):
-        repeats.push(0.0, Movement(1.5, -0.5, -1.0))
+        repeats.push(0.0, 1.0)
     assert repeats.stands
 
 

@@ -18,7 +18,7 @@ from twinmatch.dynamics.tracker import Tracker
 from twinmatch.health import Health, HealthSettings, Monitor, Refusals
 from twinmatch.health.changes import ChangeDetector
 from twinmatch.health.earned import Record
-from twinmatch.health.lagged_effect import ErrorModel, TrackedSample
+from twinmatch.health.lagged_effect import ErrorModel
 from twinmatch.signals import Sample
 
 
@@ -50,7 +50,7 @@ class _Branch:
 _SEEN: dict[str, _Branch] = {}
 """Monitors of a kind that have seen nothing yet, and from there on all runs that were watched."""
 _SHARED = (
-    ErrorModel, Health, HealthSettings, Kernels, Parameters, Record, Sample, TrackedSample, Tracker
+    ErrorModel, Health, HealthSettings, Kernels, Parameters, Record, Sample, Tracker
 )  # fmt: skip
 """Never change, and are shared by a monitor and its copies."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
@@ -220,14 +221,17 @@ class Experiment:
         )
         return Response(outputs, inputs, states, start.steps)
 
-    def normal(self, values: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    def normal(
+        self, values: FloatArray, most: float = math.inf
+    ) -> tuple[float, FloatArray, FloatArray]:
         """Cost, gradient Jᵀr, shape (n,), and JᵀJ, shape (n, n), of the weighed residuals.
 
         The cost is their sum of squares, or Σ 2(√(1 + r²) − 1) if robust, with rows weighted by 1/√(1 + r²);
-        infinite where the plant is too fast for the period.
+        infinite where the plant is too fast for the period. A run ends where its cost comes above `most`; then
+        the figures are those of the samples until there.
         """
         equations: tuple[float, FloatArray, FloatArray] = self._kernels.normal_at(
-            self._problem, values, np.inf
+            self._problem, values, most
         )
         return equations
 

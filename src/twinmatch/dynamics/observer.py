@@ -190,6 +190,16 @@ class Observer:
         self._bounds = np.stack([np.minimum(low, values), np.maximum(high, values)])
 
     @property
+    def vector(self) -> FloatArray:
+        """Values of `parameters` in the model's order, shape (p,)."""
+        return self._vector.copy()
+
+    @property
+    def steps(self) -> int:
+        """Integration steps of a period, as in the last prediction."""
+        return self._steps
+
+    @property
     def states(self) -> FloatArray:
         """Estimated states, shape (n,)."""
         return self._states.copy()

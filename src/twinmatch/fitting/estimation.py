@@ -338,12 +338,14 @@ def profile_end(
         if abs(excess) <= _PROFILE.close * rise and gain <= _PROFILE.close * rise:
             return values
         way = model_reach(*box, float(inside.values[i]), bound, cost, limit)
+        most = max(limit + _PROFILE.far * rise, cost)
         for _ in range(_PROFILE.cuts):
             step = model_profile(*box, way, cost)[0]
             trial = problem.evaluate(
-                np.minimum(np.maximum(values + step, problem.lower), problem.upper)
+                np.minimum(np.maximum(values + step, problem.lower), problem.upper),
+                most,
             )
-            if trial.cost <= max(limit + _PROFILE.far * rise, cost):
+            if trial.cost <= most:
                 break
             way *= _PROFILE.cut
         else:

@@ -14,7 +14,8 @@ import re
 import types
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
+from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
 from twinmatch.dynamics import (
@@ -156,12 +157,28 @@ class Lack(NamedTuple):
         return f"{self.what} would explain {self.explained:.0%} of them"
 
 
-class _Grown(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Grown:
     """A plant with an effect added, in one structure."""
 
+    base: Model
     effect: _Effect
     """With the plant's names."""
-    model: Model
+    words: dict[str, Any]
+    """What its lines need."""
+
+    @property
+    def added(self) -> int:
+        """Number of values that it adds to a fit."""
+        return len(re.findall(r"= (?:Parameter|State)\(", self.effect.declared))
+
+    @cached_property
+    def model(self) -> Model | None:
+        """The plant, compiled when it is first asked for; None if it cannot have the effect."""
+        try:
+            return _with_effect(self.base, self.effect, self.words)
+        except TwinmatchError:  # such as a name that the plant has already
+            return None
 
 
 def lack_of(
@@ -172,6 +189,8 @@ def lack_of(
     fit: Callable[[Parameters], tuple[Parameters, float] | None],
 ) -> Lack | None:
     """The effect that explains most of what a plant leaves; None if none is justified.
+
+    Effects that add few values come first, and those that could not win if they left nothing are not fitted.
 
     Args:
         base: the plant as fitted without it.
@@ -187,14 +206,18 @@ def lack_of(
     price = math.log(max(independent, 2.0))
     least = independent * math.log(max(left, 1.0)) / 2 - _JUSTIFIED.sure
     for grown in _plants_with_effects(base.model, period):
+        price_of_added = grown.added * price / 2
+        if price_of_added >= least:
+            break
+        if grown.model is None:
+            continue
         fitted = fit(grown.model.parameters(**base))
         if fitted is None:
             continue
         parameters, left_by_effect = fitted
         if left_by_effect > (1.0 - _JUSTIFIED.explained) * left:
             continue
-        added = grown.model.structure.n_parameters() - structure.n_parameters()
-        charge = (independent * math.log(max(left_by_effect, 1.0)) + added * price) / 2
+        charge = independent * math.log(max(left_by_effect, 1.0)) / 2 + price_of_added
         if charge < least:
             least = charge
             first_added = grown.model.structure.free[len(structure.free)]
@@ -202,7 +225,7 @@ def lack_of(
             best = Lack(
                 title,
                 1.0 - left_by_effect / left,
-                _lines(base.model, grown),
+                _lines(grown, grown.model),
                 grown.model,
             )
     return best
@@ -210,15 +233,13 @@ def lack_of(
 
 @cache
 def _plants_with_effects(model: Model, period: float) -> tuple[_Grown, ...]:
+    """The plants with each of the effects, those with few added values first."""
     grown = []
     for effect, words in _effects(model, period):
         title, declared, lines = (text.format(**words) for text in effect[:3])
         named = effect._replace(title=title, declared=declared, equations=lines)
-        try:
-            grown.append(_Grown(named, _with_effect(model, named, words)))
-        except TwinmatchError:  # such as a name that the plant has already
-            continue
-    return tuple(grown)
+        grown.append(_Grown(model, named, words))
+    return tuple(sorted(grown, key=attrgetter("added")))
 
 
 def _effects(model: Model, period: float) -> Iterator[tuple[_Effect, dict[str, Any]]]:
@@ -378,16 +399,17 @@ def _imports(effect: _Effect) -> list[str]:
     return lines
 
 
-def _lines(model: Model, grown: _Grown) -> tuple[str, ...]:
-    richer = grown.model.structure
+def _lines(grown: _Grown, model: Model) -> tuple[str, ...]:
+    base = grown.base
+    richer = model.structure
     part = grown.effect.title.removeprefix("a ")
     starts = f", free_starts={richer.free_starts}" if richer.free_starts else ""
     wanted = f"Structure(free={richer.free}, parts=frozenset({sorted({*richer.parts, part})}){starts})"
     return (
         *_imports(grown.effect),
         *grown.effect.declared.splitlines(),
-        f"parts = {(*model.plant.parts, part)}",
-        f"structures = {{…, {f'{model.structure_name}, {part}'!r}: {wanted}}}",
+        f"parts = {(*base.plant.parts, part)}",
+        f"structures = {{…, {f'{base.structure_name}, {part}'!r}: {wanted}}}",
         "in `equations`, write held = Equations(…) in place of return Equations(…), and after it:",
         f"    if {part!r} in parts:",
         *(f"        {line}" for line in grown.effect.equations.splitlines()),

@@ -328,9 +328,10 @@ class Problem:
             (self.measured - simulated) * (self.weights * self.seen), dtype=np.float64
         )
 
-    def evaluate(self, values: FloatArray) -> Evaluation:
-        """The sum of squares at some values, with its derivatives."""
-        return Evaluation(values, *self.experiment.normal(values))
+    def evaluate(self, values: FloatArray, most: float = math.inf) -> Evaluation:
+        """The sum of squares at some values, with its derivatives; where it is above `most`, those of as many samples
+        as it takes to know that."""
+        return Evaluation(values, *self.experiment.normal(values, most))
 
     def noise_scores(self, values: FloatArray) -> tuple[FloatArray, float]:
         """Jᵀ times the residuals caused by the nominal noise of each reading alone, shape ((N − 2)·o, n), and

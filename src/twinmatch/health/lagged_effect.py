@@ -14,15 +14,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Final, NamedTuple, cast
+from itertools import starmap
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.compiled import compiled
 from twinmatch.dynamics import (
+    Model,
     Parameters,
     PlantError,
     State,
@@ -34,7 +34,6 @@ from twinmatch.dynamics import (
 from twinmatch.dynamics.kernels import OUTPUTS, SWITCHES, Code, call, tick, work_for
 from twinmatch.dynamics.observer import Observer, RandomWalk
 from twinmatch.dynamics.pace import slow_scale
-from twinmatch.health.balance import Movement
 from twinmatch.health.earned import NOTHING, Record
 from twinmatch.health.rivals import Cause, costs_of_causes, effects_of_causes
 from twinmatch.health.traces import FOLLOWS, DriveEffect
@@ -70,8 +69,7 @@ _KEPT: Final = 1.0 - 1.0 / 2000.0
 """What a stretch leaves of the record before."""
 
 
-@dataclass(frozen=True)
-class ErrorModel:
+class ErrorModel(NamedTuple):
     """Variances of the two parts, learned by expectation maximisation, one stretch at a time.
 
     Equations with a wrong gain or lag err in proportion to how far the plant moves; at rest only the noise
@@ -85,7 +83,7 @@ class ErrorModel:
     """Variance of the error as a share of the movement."""
     seen: tuple[float, float] = _FIRST
     """Number of stretches that each of the two is known from."""
-    record: Record = field(default_factory=Record)
+    record: Record = Record()
     """Of all stretches so far."""
 
     @classmethod
@@ -131,138 +129,192 @@ class ErrorModel:
         )
 
 
-class TrackedSample(NamedTuple):
-    """A sample, and what was known of the plant and of the equations' errors then."""
+class PastArrays(NamedTuple):
+    """The newest N samples, and what was known of the plant at each."""
 
-    parameters: Parameters
+    vectors: FloatArray
+    """Parameters, shape (N, p)."""
+    steps: NDArray[np.int64]
+    """Integration steps of a period with these parameters, shape (N,)."""
     states: FloatArray
-    """Estimated states, before the input acts."""
-    input: float
-    output: float
-    disturbances: FloatArray
-    errors: tuple[ErrorModel, ...]
-    """The usual errors known then, so that a fault does not hide itself."""
-    settled: bool
-    """Whether the states had been followed for long enough to be known."""
+    """Estimated states, before the input acts, shape (N, n)."""
+    inputs: FloatArray
+    """Of the drive, shape (N,)."""
+    rows: FloatArray
+    """Disturbances, shape (N, m)."""
+    stood: FloatArray
+    """Mean input of the longest stretch that ended there, at which the drive stood, shape (N,)."""
+
+
+class Past:
+    """The newest samples, and what was known of the plant and of the equations' errors at each.
+
+    They lie in arrays of twice their number, from which all stretches are simulated in one call: to collect
+    them at each sample would take longer than to simulate.
+    """
+
+    def __init__(self, model: Model, longest: int) -> None:
+        """Keep samples for stretches of up to `longest` samples, and as many before these."""
+        self._most = 2 * longest + 1
+        self._mean_of = longest + 1
+        size = 2 * self._most
+        self._arrays = PastArrays(
+            vectors=np.zeros((size, len(model.names))),
+            steps=np.zeros(size, dtype=np.int64),
+            states=np.zeros((size, len(model.states))),
+            inputs=np.zeros(size),
+            rows=np.zeros((size, model.disturbances.size)),
+            stood=np.zeros(size),
+        )
+        self._outputs = np.zeros(size)
+        self._settled = np.zeros(size, dtype=np.bool_)
+        self._errors: deque[tuple[ErrorModel, ...]] = deque(maxlen=self._most)
+        self._end = 0
+
+    def __len__(self) -> int:
+        return len(self._errors)
+
+    def append(  # noqa: PLR0917
+        self,
+        observer: Observer,
+        states: FloatArray,
+        input: float,
+        output: float,
+        row: FloatArray,
+        errors: tuple[ErrorModel, ...],
+        settled: bool,
+    ) -> None:
+        """Take a sample under an input and a row of disturbances, which an observer has predicted on from its
+        `states`; `settled`: whether these had been followed for long enough to be known."""
+        if self._end == self._outputs.size:
+            self._move_to_front()
+        end = self._end
+        arrays = self._arrays
+        arrays.vectors[end] = observer.vector
+        arrays.steps[end] = observer.steps
+        arrays.states[end] = states
+        arrays.inputs[end] = input
+        arrays.rows[end] = row
+        self._outputs[end] = output
+        self._settled[end] = settled
+        self._errors.append(errors)
+        self._end = end + 1
+        newest = arrays.inputs[max(self._begin, self._end - self._mean_of) : self._end]
+        arrays.stood[end] = math.fsum(newest.tolist()) / newest.size
+
+    def errors_at(self, place: int) -> tuple[ErrorModel, ...]:
+        """The usual errors known at a sample, so that a fault does not hide itself."""
+        return self._errors[place]
+
+    def settled_at(self, place: int) -> bool:
+        """Whether the states at a sample had been followed for long enough to be known."""
+        return bool(self._settled[self._begin + place])
+
+    @property
+    def arrays(self) -> PastArrays:
+        """What stretches are simulated from, the oldest sample first."""
+        kept = slice(self._begin, self._end)
+        vectors, steps, states, inputs, rows, stood = self._arrays
+        return PastArrays(
+            vectors[kept],
+            steps[kept],
+            states[kept],
+            inputs[kept],
+            rows[kept],
+            stood[kept],
+        )
+
+    @property
+    def outputs(self) -> FloatArray:
+        """Readings, shape (N,)."""
+        return self._outputs[self._begin : self._end]
+
+    @property
+    def _begin(self) -> int:
+        return self._end - len(self._errors)
+
+    def _move_to_front(self) -> None:
+        kept = slice(self._begin, self._end)
+        count = len(self)
+        for array in (*self._arrays, self._outputs, self._settled):
+            array[:count] = array[kept].copy()
+        self._end = count
 
 
 @compiled
-def _outputs_under(  # noqa: PLR0917
+def _drive_effects(  # noqa: PLR0917
     code: Code,
-    vector: FloatArray,
-    x: FloatArray,
+    vectors: FloatArray,
+    steps: NDArray[np.int64],
+    states: FloatArray,
     inputs: FloatArray,
-    levels: FloatArray,
-    d: FloatArray,
-    later: NDArray[np.int64],
+    rows: FloatArray,
+    stood: FloatArray,
+    firsts: NDArray[np.int64],
     resting: FloatArray,
     usual: FloatArray,
     period: float,
-    steps: int,
+    later: int,
     instant: bool,
 ) -> FloatArray:
-    """The output at the beginning, after all n samples and after `later` more, under inputs, shape (n + 1,),
-    and, instead, at each of some levels; shape (1 + levels, 3). `later` has a value for each of these, shape
-    (1 + levels,). The last but one input is held on, as are the last disturbances, shape (n, nd). The output
-    is read as `dynamics.read` does; an `instant` one shows the last input at the end and, at other levels,
-    the first: estimated states suit that."""
-    work = work_for(code, vector)
-    outputs = np.empty((1 + levels.size, 3))
-    n = inputs.size - 1
+    """What the equations say of stretches that begin at the samples at `firsts` and end at the newest; arrays as
+    in `PastArrays`, results as in `Stretch`, shape (k, 4).
+
+    Each is simulated under the recorded inputs, with the drive at rest, and with it as it `stood`; the first
+    and the last continue for `later` samples, for which the last but one input is held on, as are the disturbances.
+    The output is read as `dynamics.read` does; an `instant` one shows the last input at the end and, where the
+    drive did not follow the recorded inputs, the first: estimated states suit that.
+    """
+    effects = np.empty((firsts.size, 4))
+    outputs = np.empty((3, 3))
     u = np.empty(1)
-    row = np.empty(d.shape[1])
+    row = np.empty(rows.shape[1])
     read = resting.copy()
-    for k in range(1 + levels.size):
-        states = x.copy()
-        last = n + later[k]
-        for i in range(last + 1):
-            for place, wanted in enumerate((0, n, last)):
-                if i == wanted:
-                    if instant:
-                        read[0] = inputs[min(i, n) if k == 0 else 0]
-                    call(code[SWITCHES], states, read, usual, work.p, work.b, work.b)
-                    call(
-                        code[OUTPUTS], states, read, usual, work.p, work.b, work.outputs
-                    )
-                    outputs[k, place] = work.outputs[0]
-            if i < last:
-                place_of_input = min(i, n - 1)
-                u[0] = inputs[place_of_input] if k == 0 else levels[k - 1]
-                for m in range(row.size):
-                    row[m] = d[place_of_input, m]
-                tick(code, states, u, row, work, period, steps)
-    return outputs
+    for k in range(firsts.size):
+        first = firsts[k]
+        n = inputs.size - 1 - first
+        work = work_for(code, vectors[first])
+        for run in range(3):
+            x = states[first].copy()
+            last = n if run == 1 else n + later
+            for i in range(last + 1):
+                for place, wanted in enumerate((0, n, last)):
+                    if i == wanted:
+                        if instant:
+                            read[0] = inputs[first + (min(i, n) if run == 0 else 0)]
+                        call(code[SWITCHES], x, read, usual, work.p, work.b, work.b)
+                        call(
+                            code[OUTPUTS], x, read, usual, work.p, work.b, work.outputs
+                        )
+                        outputs[run, place] = work.outputs[0]
+                if i < last:
+                    place_of_input = first + min(i, n - 1)
+                    if run == 0:
+                        u[0] = inputs[place_of_input]
+                    else:
+                        u[0] = resting[0] if run == 1 else stood[first]
+                    for m in range(row.size):
+                        row[m] = rows[place_of_input, m]
+                    tick(code, x, u, row, work, period, steps[first])
+        effects[k, 0] = outputs[0, 1]
+        effects[k, 1] = outputs[0, 1] - outputs[0, 0]
+        effects[k, 2] = outputs[0, 1] - outputs[1, 1]
+        effects[k, 3] = outputs[0, 2] - outputs[2, 2]
+    return effects
 
 
-class SimulatedSpan:
-    """Simulations from the first of some samples to the end of the last; all results in the output's unit."""
+class Stretch(NamedTuple):
+    """What the equations say of the samples from one of the past to the newest, in the output's unit."""
 
-    def __init__(
-        self,
-        first: TrackedSample,
-        inputs: FloatArray,
-        rows: FloatArray,
-        before: float,
-        *,
-        period: float,
-        later: int,
-    ) -> None:
-        """`inputs` and `rows` of disturbances from the `first` sample on, and the input after them; `before`:
-        input at which the drive stood; `period` in s; `later`: for how many samples they are held on."""
-        self.first = first
-        self._given = (inputs, rows)
-        self._period = period
-        # What the drive at rest leads to is asked at the end of the last sample only.
-        levels = (first.parameters.model.rest[0], before)
-        (begun, self.driven, held_on), (_, resting, _), (_, _, stood) = self._outputs(
-            first.parameters, levels, (later, 0, later)
-        )
-        """The output when the last sample ends, under the recorded inputs."""
-        self.moved = self.driven - begun
-        """How far the output moves until then."""
-        self.effect = self.driven - resting
-        """What the drive contributes to that output."""
-        self.changed = held_on - stood
-        """What the drive's changes since it stood at `before` will have contributed when it was held on."""
-
-    def __len__(self) -> int:
-        return len(self._given[1])
-
-    def colder(self, change: float) -> float:
-        """How far the output would have moved in a colder room; `change` in the scale of that parameter."""
-        twin = self.first.parameters
-        moved = 0.0
-        for name, parameter in twin.model.declared.items():
-            if parameter.role == "room":
-                lowest = 0.5 * twin[name] if parameter.positive else parameter.least
-                room = twin.replace(
-                    **{name: max(twin[name] - change * parameter.scale, lowest)}
-                )
-                moved = max(
-                    moved, abs(self._outputs(room, (), (0,))[0][1] - self.driven)
-                )
-        return moved
-
-    def _outputs(
-        self, twin: Parameters, levels: tuple[float, ...], later: tuple[int, ...]
-    ) -> list[list[float]]:
-        model = twin.model
-        inputs, rows = self._given
-        outputs = model.kernels.call(
-            _outputs_under,
-            twin.vector,
-            self.first.states,
-            inputs,
-            np.array(levels),
-            rows,
-            np.array(later),
-            model.rest,
-            model.disturbances,
-            self._period,
-            twin.steps(self._period),
-            model.instant,
-        )
-        return cast("list[list[float]]", outputs.tolist())
+    driven: float
+    """The output at the newest sample under the recorded inputs."""
+    moved: float
+    """How far the output moves until then."""
+    effect: float
+    """What the drive contributes to that output."""
+    changed: float
+    """What the drive's changes since it stood, before the first sample, will have contributed when it was held on
+    for the shortest stretch."""
 
 
 _SPANS: Final = (10.0, 16.0, 25.0, 40.0, 64.0, 100.0)
@@ -375,13 +427,10 @@ class LaggedEffect(DriveEffect):
         super().restart()
         self._observer: Observer | None = None
         self._followed = 0  # samples since a gap
-        self._past: deque[TrackedSample] = deque(maxlen=2 * self._spans[-1] + 1)
-        # Their inputs and disturbances as arrays: to collect them at each sample would take longer than to
-        # simulate.
-        self._inputs = np.zeros(0)
-        self._rows = np.zeros((0, self._parameters.model.disturbances.size))
+        self._past = Past(self._parameters.model, self._spans[-1])
         self._standing: FloatArray | None = None
         self._reading = math.nan
+        self._shown = math.nan  # the reading with what it is shifted by
         self.rival: Cause | None = None
         """What explains the newest readings far better than a drive without effect, if that seems missing."""
         self._compared = False  # whether that has been asked of the newest readings
@@ -404,13 +453,13 @@ class LaggedEffect(DriveEffect):
             return
         self._frozen = frozen
         if frozen and self._past:
-            self._parameters = self._past[0].parameters
-            self._errors = self._past[0].errors
+            self._parameters = self._parameters_at(0)
+            self._errors = self._past.errors_at(0)
         self._observer = None
 
-    def push(self, sample: Sample, shift: float = 0.0) -> Movement:
-        """Take a sample whose reading is known to be shifted; return the expected and the observed movement
-        since the one before.
+    def push(self, sample: Sample, shift: float = 0.0) -> float:
+        """Take a sample whose reading is known to be shifted; return the movement expected since the one before
+        if it repeats that one's reading, in the output's unit; 0 if it does not.
 
         While a reading is repeated, the plant is assumed to have moved on from its states before that.
         """
@@ -418,173 +467,233 @@ class LaggedEffect(DriveEffect):
             # what was estimated since is wrong
             self.restart()
         self._shift = shift
-        if shift:
-            sample = replace(sample, outputs=(sample.output - shift,))
+        output = sample.output - shift
         try:
-            movement = self._movement(sample)
+            moved = self._moved_while_repeated(sample, output)
+            self._follow(sample, output)
         except PlantError:  # the equations have no solution at the observer's states
             self.restart()
-            return Movement(0.0, 0.0, 0.0)
+            return 0.0
         if self._followed % self._apart == 0:
-            self._estimate(sample.output)
-        return movement
+            self._estimate(output)
+        return moved
 
-    def _movement(self, sample: Sample) -> Movement:
+    def _moved_while_repeated(self, sample: Sample, output: float) -> float:
+        """How far the plant is expected to have moved since a reading that is repeated."""
+        repeats_output = output == self._reading
+        if self._standing is None or not (
+            repeats_output or sample.output == self._shown
+        ):
+            self._standing = None
+            return 0.0
+        last = len(self._past) - 1
+        parameters = self._parameters_at(last)
+        arrays = self._past.arrays
+        input_before = float(arrays.inputs[last])
+        on = advance(
+            parameters, self._standing, input_before, self._period, arrays.rows[last]
+        )
+        before = read(parameters, self._standing, input=input_before)
+        moved = read(parameters, on, input=sample.input) - before
+        self._standing = on if repeats_output else None
+        return moved
+
+    def _follow(self, sample: Sample, output: float) -> None:
+        """Estimate the states at a sample, and move on to the next."""
         row = self._parameters.model.disturbance_row(sample.disturbances or None)
-        if self._observer is None:
-            scales = np.array([s.scale for s in self._states])
-            self._observer = Observer(
-                self._parameters,
-                sample.output,
-                period=self._period,
-                drift=_DRIFTS.state * scales / math.sqrt(self._scale),
-                start=scales,
-                input=sample.input,
-                disturbances=row,
-                random_walks=self._random_walks,
-            )
-        observer = self._observer
-        moved = 0.0
-        if self._past and self._standing is not None:
-            last = self._past[-1]
-            on = advance(
-                last.parameters,
-                self._standing,
-                last.input,
-                self._period,
-                last.disturbances,
-            )
-            before = read(last.parameters, self._standing, input=last.input)
-            moved = read(last.parameters, on, input=sample.input) - before
-            self._standing = on
-        change = sample.output - self._reading if self._past else 0.0
-        observer.correct(sample.output, row, sample.input)
+        observer = self._observer or self._new_observer(sample, output, row)
+        self._observer = observer
+        observer.correct(output, row, sample.input)
         states = observer.states
-        if self._standing is None or change != 0.0:
+        if self._standing is None:
             self._standing = states
-        self._reading = sample.output
+        self._reading = output
+        self._shown = sample.output
         # While it is reported as lost, silence would count as its recovery.
         settled = (
             self._frozen
             or self._followed * self._period >= _DRIFTS.settled * self._scale
         )
-        self._past.append(
-            TrackedSample(
-                observer.parameters,
-                states,
-                sample.input,
-                sample.output,
-                row,
-                self._errors,
-                settled,
-            )
-        )
-        self._inputs = np.append(self._inputs, sample.input)[-len(self._past) :]
-        self._rows = np.append(self._rows, row[None, :], axis=0)[-len(self._past) :]
         self._followed += 1
         observer.predict(sample.input)
-        return Movement(0.0, moved, change - moved)
+        self._past.append(
+            observer, states, sample.input, output, row, self._errors, settled
+        )
+
+    def _new_observer(self, sample: Sample, output: float, row: FloatArray) -> Observer:
+        scales = np.array([s.scale for s in self._states])
+        return Observer(
+            self._parameters,
+            output,
+            period=self._period,
+            drift=_DRIFTS.state * scales / math.sqrt(self._scale),
+            start=scales,
+            input=sample.input,
+            disturbances=row,
+            random_walks=self._random_walks,
+        )
+
+    def _parameters_at(self, place: int) -> Parameters:
+        """The parameters as they were known at a sample of the past."""
+        model = self._parameters.model
+        values = self._past.arrays.vectors[place].tolist()
+        return model.parameters(**dict(zip(model.names, values, strict=True)))
 
     def _estimate(self, output: float) -> None:
         """Estimate the drive's effect over every stretch that ends now."""
         self.share = math.nan
         self.rival = None
         self._compared = False
-        past = list(self._past)
         learned = list(self._errors)
-        inputs = self._inputs
-        rows = self._rows
-        for k, length in enumerate(self._spans):
-            first = len(past) - 1 - length
-            if first < 0:
-                break
-            if not past[first].settled:
-                continue
-            inputs_before = inputs[max(0, first - self._spans[-1]) : first + 1].tolist()
-            stood = math.fsum(inputs_before) / len(inputs_before)
-            stretch = SimulatedSpan(
-                past[first],
-                inputs[first:],
-                rows[first:-1],
-                stood,
-                period=self._period,
-                later=self._spans[0],
-            )
+        firsts = self._firsts()
+        stretches = self._simulated(self._past.arrays, [*firsts.values()])
+        for (k, first), stretch in zip(firsts.items(), stretches, strict=True):
+            errors = self._past.errors_at(first)[k]
             error = output - stretch.driven
-
-            def later(
-                delay: int, first: int = first, stood: float = stood
-            ) -> SimulatedSpan:
-                """The same stretch if inputs act so many samples later."""
-                places = np.maximum(np.arange(first, len(past)) - delay, 0)
-                return SimulatedSpan(
-                    past[first],
-                    inputs[places],
-                    rows[first:-1],
-                    stood,
-                    period=self._period,
-                    later=self._spans[0],
-                )
-
-            self._weigh(stretch, error, stretch.first.errors[k], later, output)
+            self._weigh(stretch, first, error, errors, output)
             if not self._frozen:
                 learned[k] = learned[k].learned(
                     error, max(abs(stretch.changed), abs(stretch.moved))
                 )
         self._errors = tuple(learned)
 
+    def _firsts(self) -> dict[int, int]:
+        """Where the stretches begin whose states were known then, by their places among the spans."""
+        firsts = {}
+        for k, length in enumerate(self._spans):
+            first = len(self._past) - 1 - length
+            if first < 0:
+                break
+            if self._past.settled_at(first):
+                firsts[k] = first
+        return firsts
+
+    def _simulated(self, arrays: PastArrays, firsts: list[int]) -> list[Stretch]:
+        """The stretches that begin at some samples and end at the newest, with one call for all of them."""
+        if not firsts:
+            return []
+        model = self._parameters.model
+        effects = model.kernels.call(
+            _drive_effects,
+            *arrays,
+            np.array(firsts),
+            model.rest,
+            model.disturbances,
+            self._period,
+            self._spans[0],
+            model.instant,
+        )
+        return list(starmap(Stretch, effects.tolist()))
+
     def _weigh(
         self,
-        stretch: SimulatedSpan,
+        stretch: Stretch,
+        first: int,
         error: float,
         errors: ErrorModel,
-        later: Callable[[int], SimulatedSpan],
         output: float,
     ) -> None:
-        """Take the share of the expected effect that a stretch shows, if it is the least and counts.
+        """Take the share of the expected effect that a stretch shows, if it is the least and counts."""
+        if stretch.effect == 0.0:
+            return
+        share = 1.0 + error / stretch.effect
+        if share >= self.share:
+            return
+        length = len(self._past) - 1 - first
+        missing = abs(error) if share < 1.0 else 0.0
+        if not self._counts(stretch, share, length, missing, errors):
+            return
+        if self._has_other_reason(stretch, share, first, missing, output):
+            return
+        self.share = share
+        self.length = length
+        self.expected = stretch.effect
+
+    def _counts(
+        self,
+        stretch: Stretch,
+        share: float,
+        length: int,
+        missing: float,
+        errors: ErrorModel,
+    ) -> bool:
+        """Whether a stretch of so many samples expects more than what else moves a reading.
 
         A drive that was turned down looks lost if it does more than its equations say, or sooner.
         """
         effect = stretch.effect
+        least_effect = _EFFECT.noises * self._noise
+        if abs(effect) < least_effect and missing < _EFFECT.missing * least_effect:
+            return False  # however small the usual errors are
         changed = stretch.changed
-        if effect == 0.0:
-            return
-        share = 1.0 + error / effect
-        accuses_drive = share < FOLLOWS[0]
-        usual_error = errors.error(
-            stretch.moved, changed if changed * effect < 0.0 else 0.0
-        )
+        turned_down = changed if changed * effect < 0.0 else 0.0
+        usual_error = errors.error(stretch.moved, turned_down)
         if self.newcomer:
             usual_error = max(usual_error, errors.mean)
-        least_effect = max(_EFFECT.noises * self._noise, _EFFECT.errors * usual_error)
-        shows_nothing = len(stretch) >= self._spans[-1] and share <= NOTHING
+        least_effect = max(least_effect, _EFFECT.errors * usual_error)
+        shows_nothing = length >= self._spans[-1] and share <= NOTHING
         sees_drive = errors.record.sees_drive(self._noise)
-        if accuses_drive and not (shows_nothing or sees_drive):
-            return
-        missing = abs(error) if share < 1.0 else 0.0
-        counts = abs(effect) >= least_effect
-        if len(stretch) >= self._spans[_EFFECT.long] and sees_drive:
-            least_missing = _EFFECT.missing * least_effect
-            counts = counts or least_missing <= missing <= _EFFECT.most_missing * abs(
-                effect
-            )
-        if share >= self.share or not counts:
-            return
-        if missing > _EFFECT.missing * abs(effect) and missing < stretch.colder(
-            _EFFECT.room_change
+        if share < FOLLOWS[0] and not (shows_nothing or sees_drive):
+            return False
+        if abs(effect) >= least_effect:
+            return True
+        if length < self._spans[_EFFECT.long] or not sees_drive:
+            return False
+        least_missing = _EFFECT.missing * least_effect
+        return least_missing <= missing <= _EFFECT.most_missing * abs(effect)
+
+    def _has_other_reason(
+        self,
+        stretch: Stretch,
+        share: float,
+        first: int,
+        missing: float,
+        output: float,
+    ) -> bool:
+        """Whether something else than the drive may be why a part of its effect is missing."""
+        effect = stretch.effect
+        if missing > _EFFECT.missing * abs(effect) and missing < self._colder(
+            stretch, first
         ):
-            return  # a colder room may be what is missing
-        if accuses_drive and any(
-            self._explains(later(delay), output, effect)
-            for delay in self.delays
-            if delay > 0
+            return True
+        if share >= FOLLOWS[0]:
+            return False
+        delays = [delay for delay in self.delays if delay > 0]
+        if any(
+            self._explains(self._with_later_inputs(first, delay), output, effect)
+            for delay in delays
         ):
-            return  # the input may act later
-        if accuses_drive and not self._frozen and self._has_rival():
-            return
-        self.share = share
-        self.length = len(stretch)
-        self.expected = effect
+            return True
+        return not self._frozen and self._has_rival()
+
+    def _colder(self, stretch: Stretch, first: int) -> float:
+        """How far the output would have moved over a stretch in a colder room."""
+        twin = self._parameters_at(first)
+        arrays = self._past.arrays
+        moved = 0.0
+        for name, parameter in twin.model.declared.items():
+            if parameter.role != "room":
+                continue
+            lowest = 0.5 * twin[name] if parameter.positive else parameter.least
+            change = _EFFECT.room_change * parameter.scale
+            room = twin.replace(**{name: max(twin[name] - change, lowest)})
+            vectors = arrays.vectors.copy()
+            vectors[first] = room.vector
+            steps = arrays.steps.copy()
+            steps[first] = room.steps(self._period)
+            in_room = arrays._replace(vectors=vectors, steps=steps)
+            (colder,) = self._simulated(in_room, [first])
+            moved = max(moved, abs(colder.driven - stretch.driven))
+        return moved
+
+    def _with_later_inputs(self, first: int, delay: int) -> Stretch:
+        """A stretch if inputs act so many samples later."""
+        arrays = self._past.arrays
+        places = np.maximum(np.arange(len(self._past)) - delay, 0)
+        (later,) = self._simulated(
+            arrays._replace(inputs=arrays.inputs[places]), [first]
+        )
+        return later
 
     def _has_rival(self) -> bool:
         """Whether something explains the newest readings far better than a lost drive; asked of them once."""
@@ -599,17 +708,16 @@ class LaggedEffect(DriveEffect):
         A slow error of the equations makes any cause likely; but it may also be what a lost drive does to a
         plant nearly at rest, where a reading that stands is told from it only without such an error.
         """
-        past = list(self._past)[-self._spans[_MINUTE] - 1 :]
-        first = past[0]
-        if not first.settled:
+        first = max(0, len(self._past) - self._spans[_MINUTE] - 1)
+        if not self._past.settled_at(first):
             return None
-        readings = np.array([sample.output for sample in past])
+        arrays = self._past.arrays
         effects = effects_of_causes(
-            first.parameters,
-            first.states,
-            self._inputs[-len(past) :],
-            readings,
-            rows=self._rows[-len(past) :],
+            self._parameters_at(first),
+            arrays.states[first],
+            arrays.inputs[first:],
+            self._past.outputs[first:],
+            rows=arrays.rows[first:],
             period=self._period,
         )
         for slow_error, causes in ((True, {*Cause}), (False, {Cause.FROZEN})):
@@ -622,7 +730,7 @@ class LaggedEffect(DriveEffect):
         return None
 
     @staticmethod
-    def _explains(stretch: SimulatedSpan, output: float, effect: float) -> bool:
+    def _explains(stretch: Stretch, output: float, effect: float) -> bool:
         """Whether a later input leaves no effect missing: it acts, or cannot have acted enough yet."""
         missing = (stretch.driven - output) / stretch.effect if stretch.effect else 0.0
         return stretch.effect / effect < FOLLOWS[0] or missing < 1.0 - FOLLOWS[0]

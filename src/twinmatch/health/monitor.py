@@ -293,9 +293,10 @@ class Monitor:
         movement = self._balance.step(before, sample.output)
         low, high = self.settings.reference.model.plant.output.span
         inward = float(sample.output <= low) - float(sample.output >= high)
+        after = movement.drive + movement.passive
         if not self._known:
             self._repeats.push(
-                sample.output - before.output, movement, inward, earned=False
+                sample.output - before.output, after, inward, earned=False
             )
             return (
                 self._sentences.frozen(sample, self._repeats)
@@ -303,7 +304,6 @@ class Monitor:
                 else None
             )
         stood = self._repeats.stands
-        after = movement
         acting = self._acting(sample)
         if self._lagged_effect is not None:
             self._lagged_effect.newcomer = not self._slow.compares

@@ -226,21 +226,22 @@ class Repeats:
     def push(
         self,
         change: float,
-        movement: Movement,
+        movement: float,
         inward: float = 0.0,
         error: float = 0.0,
         *,
         earned: bool = True,
     ) -> None:
-        """Take the newest change of the reading and the movement it belongs to, with its usual `error`; this
-        counts if the one who expected it has `earned` that.
+        """Take the newest change of the reading and, if it repeats the one before, the movement that was expected
+        meanwhile, in the output's unit, with its usual `error`; this counts if the one who expected it has
+        `earned` that.
 
         `inward`: 1 for a reading at the low end of the sensor's span, -1 at the high end, 0 between them.
         """
         self._inward = inward
         if change == 0.0:
             self.count += 1
-            self.expected += (movement.drive + movement.passive) if earned else 0.0
+            self.expected += movement if earned else 0.0
             self._error += error
             return
         if not self.stands:
