@@ -20,7 +20,7 @@ from packaging.requirements import Requirement
 
 from tests.support.processes import Process
 from twinmatch.compiled import NumbaError, check_version, compiled
-from twinmatch.kernel_turns import Turn
+from twinmatch.kernel_turns import KernelTurn
 
 OURS = "from twinmatch.compiled import compiled"
 NUMBAS = "import numba\ncompiled = numba.njit(cache=True)"
@@ -490,7 +490,7 @@ def test_a_kernel_that_another_process_compiles_is_waited_for_and_taken(
     kernels = list(kept.glob("entry.*.nb[ic]"))
     for file in kernels:
         shutil.move(file, aside / file.name)
-    other = Turn("entry")
+    other = KernelTurn("entry")
     other.take(str(kept), lambda: None)
     process = start_waiting(tmp_path)
     process.said("^needs entry$")
@@ -505,7 +505,7 @@ def test_a_process_compiles_what_another_one_gave_up(tmp_path: Path) -> None:
     write(tmp_path)
     kept = tmp_path / "__pycache__"
     kept.mkdir()
-    other = Turn("entry")
+    other = KernelTurn("entry")
     other.take(str(kept), lambda: None)
     process = start_waiting(tmp_path)
     process.said("^needs entry$")
@@ -549,7 +549,7 @@ def test_nobody_waits_for_a_kernel_that_could_not_be_compiled(tmp_path: Path) ->
     )
     process.said("^failed$")
     waited: list[bool] = []
-    turn = Turn("wrong")
+    turn = KernelTurn("wrong")
     turn.take(str(tmp_path / "__pycache__"), lambda: waited.append(True))
     turn.give_back()
     process.kill()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from twinmatch import kernel_turns
-from twinmatch.kernel_turns import Turn
+from twinmatch.kernel_turns import KernelTurn
 
 
 def never() -> None:
@@ -16,8 +16,8 @@ def never() -> None:
 
 
 def test_the_turn_is_waited_for_until_it_is_given_back(tmp_path: Path) -> None:
-    first = Turn("kernel")
-    second = Turn("kernel")
+    first = KernelTurn("kernel")
+    second = KernelTurn("kernel")
     waits = threading.Event()
     first.take(str(tmp_path), never)
     waiting = threading.Thread(target=second.take, args=(str(tmp_path), waits.set))
@@ -31,8 +31,8 @@ def test_the_turn_is_waited_for_until_it_is_given_back(tmp_path: Path) -> None:
 
 
 def test_other_kernels_are_not_waited_for(tmp_path: Path) -> None:
-    first = Turn("kernel")
-    second = Turn("other")
+    first = KernelTurn("kernel")
+    second = KernelTurn("other")
     first.take(str(tmp_path), never)
     second.take(str(tmp_path), never)
     first.give_back()
@@ -40,12 +40,12 @@ def test_other_kernels_are_not_waited_for(tmp_path: Path) -> None:
 
 
 def test_a_turn_may_be_taken_again(tmp_path: Path) -> None:
-    turn = Turn("kernel")
+    turn = KernelTurn("kernel")
     turn.take(str(tmp_path), never)
     turn.take(str(tmp_path), never)
     turn.give_back()
     turn.give_back()
-    next_turn = Turn("kernel")
+    next_turn = KernelTurn("kernel")
     next_turn.take(str(tmp_path), never)
     next_turn.give_back()
 
@@ -54,10 +54,10 @@ def test_a_process_that_never_ends_is_not_waited_for_for_good(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(kernel_turns, "PATIENCE", 0.0)
-    first = Turn("kernel")
+    first = KernelTurn("kernel")
     first.take(str(tmp_path), never)
     waited: list[bool] = []
-    second = Turn("kernel")
+    second = KernelTurn("kernel")
     second.take(str(tmp_path), lambda: waited.append(True))
     assert waited == [True]
     # it is still the first one's
@@ -69,4 +69,4 @@ def test_a_process_that_never_ends_is_not_waited_for_for_good(
 
 
 def test_without_a_folder_for_locks_nobody_waits(tmp_path: Path) -> None:
-    Turn("kernel").take(str(tmp_path / "missing"), never)
+    KernelTurn("kernel").take(str(tmp_path / "missing"), never)

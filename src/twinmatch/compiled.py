@@ -36,7 +36,7 @@ from numba.core.runtime import rtsys
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.kernel_stamps import OPTIONS, fields_of, hash_of_file, stamp_of
-from twinmatch.kernel_turns import Turn
+from twinmatch.kernel_turns import KernelTurn
 from twinmatch.processor import COMMON, processor
 
 _NEWEST: Final = (0, 68)
@@ -183,7 +183,7 @@ def compiled(
     if inside or inlined or innermost:
         return part
     kernel = numba.njit(nogil=True, error_model="numpy")(function)
-    turn = Turn(function.__qualname__)
+    turn = KernelTurn(function.__qualname__)
     kernel._compiler.compile = functools.partial(
         _compile_in_turn, turn, part, addressed
     )
@@ -302,7 +302,7 @@ def _compile_part(compile_: Callable[..., Any], *args: Any) -> Any:
 
 
 def _compile_in_turn(
-    turn: Turn, part: Any, addressed: bool, args: Any, return_type: Any
+    turn: KernelTurn, part: Any, addressed: bool, args: Any, return_type: Any
 ) -> Any:
     """An entry point from Python; the turn ends when it is kept on disk, or could not be compiled."""
     for begin in before_kernels:
@@ -353,7 +353,7 @@ def _compile_entry(part: Any, addressed: bool, args: Any, return_type: Any) -> A
 class _Cache:
     """numba's cache of a kernel, created on first use, when everything that the kernel names is defined."""
 
-    def __init__(self, function: Callable[..., Any], turn: Turn) -> None:
+    def __init__(self, function: Callable[..., Any], turn: KernelTurn) -> None:
         self._function = function
         self._turn = turn
 
@@ -414,7 +414,7 @@ def _environment(module: str, constants: list[Any], name: str) -> Environment:
 class _KernelCache(FunctionCache):
     _impl_class = _KernelFiles
 
-    def __init__(self, function: Callable[..., Any], turn: Turn) -> None:
+    def __init__(self, function: Callable[..., Any], turn: KernelTurn) -> None:
         super().__init__(function)
         self._turn = turn
         self._tell = functools.partial(_tell, function)

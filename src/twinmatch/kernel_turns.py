@@ -19,7 +19,7 @@ _PAUSE: Final = 0.02
 """Time between two attempts, s."""
 
 
-class Turn:
+class KernelTurn:
     """The right of this process to compile a kernel: a lock that ends with the process, however that ends.
 
     It says nothing of what is on disk: a process that has waited looks there again. If it cannot be had, as on a disk
