@@ -128,8 +128,8 @@ def test_both_heaters_are_driven_and_recorded_and_go_to_zero(
 def test_verify_and_play_admit_what_live_admitted_before_a_sensor_was_off(
     processes: Processes, tmp_path: Path
 ) -> None:
-    """Sensor 1 is off from 330 s on, and might be read through if the twin were trusted; the windows of two
-    later steps are matched by nobody."""
+    """Sensor 1 is off from 400 s on, and might be read through if the twin were trusted; the window of the step
+    after that is matched by nobody. Of the windows of two steps before, one may show too little."""
     kit = tmp_path / "kit.yaml"
     kit.write_text(
         "controller:\n  ros__parameters:\n"
@@ -147,15 +147,20 @@ def test_verify_and_play_admit_what_live_admitted_before_a_sensor_was_off(
     run = tmp_path / "run"
     words = ("--plant", "tclab-both", "--virtual", "--speed", "max", "--config", kit)
     words += ("--twin-config", twin, "--session", run)
-    words += ("--fault", "sensor-offset.1@330")
+    words += ("--fault", "sensor-offset.1@400")
     live = processes.python(LIVE, *words)
     assert live.wait(12 * PATIENCE) == 0, live.text
     session = read_session(run)
     recorded = list(map(decoded, session.messages(["/twin/model_score"])))
-    refused = [verdict.reason for verdict in recorded if verdict.match == REFUSED]
-    admitted = [verdict.reason for verdict in recorded if verdict.match == ADMITTED]
-    assert len(admitted) == 1, live.text
-    assert len(refused) == 2, live.text
+    admitted = [verdict for verdict in recorded if verdict.match == ADMITTED]
+    refused = [
+        verdict.reason
+        for verdict in recorded
+        if verdict.match == REFUSED and verdict.sample > 400
+    ]
+    assert admitted, live.text
+    assert all(verdict.sample < 400 for verdict in admitted), live.text
+    assert refused, live.text
     # Which names the offset gets later depends on the noise, and so on how often the kit was asked.
     assert all(reason.startswith("not matched: ") for reason in refused), refused
     verification = verify_session(run)
@@ -165,7 +170,7 @@ def test_verify_and_play_admit_what_live_admitted_before_a_sensor_was_off(
     )
     assert played.wait(6 * PATIENCE) == 0, played.text
     matched = re.findall(r"candidate .* matched on samples \d+ to \d+", played.text)
-    assert matched == admitted
+    assert matched == [verdict.reason for verdict in admitted]
 
 
 def test_what_a_process_of_the_run_refuses_is_one_line_and_exit_code_two(
