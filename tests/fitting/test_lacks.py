@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 import textwrap
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -123,6 +124,28 @@ def test_only_effects_that_could_win_are_fitted() -> None:
     assert fitted(100.0, 100.0, 1.0) == [1]
     assert set(fitted(6.0, 20.0, 20.0)) == {1, 2, 3}
     assert fitted(4.0, 3.5, 1.0) == []
+
+
+def test_two_effects_together_are_fitted_where_one_of_them_could_be() -> None:
+    """A store between drive and state, and another one beside it: in this file, the effect with most values."""
+    base = Lag.model().parameters()
+
+    def most_values_tried(fails: Callable[[set[str]], bool]) -> int:
+        """How many values the richest effect adds that is tried, if effects with such parameters cannot be
+        fitted."""
+        tried: list[int] = []
+
+        def fit(start: Parameters) -> tuple[Parameters, float] | None:
+            added = set(start.model.structure.free) - set(base.model.structure.free)
+            tried.append(len(added))
+            return None if fails(added) else (start, 100.0)
+
+        lack_of(base, 1.0, 100.0, 100.0, fit)
+        return max(tried)
+
+    assert most_values_tried(lambda _: False) == 4
+    assert most_values_tried(lambda added: "fed_lag" in added) == 4
+    assert most_values_tried(lambda added: bool({"fed_lag", "beside_lag"} & added)) == 2
 
 
 class NamedOutput(Lag, name="named_output"):

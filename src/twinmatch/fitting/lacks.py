@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import re
 import types
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from operator import attrgetter
@@ -64,6 +64,8 @@ class _Effect(NamedTuple):
     is said: a time, which is tried from several starts, or a value."""
     equations: str
     """The lines in `equations`, where `held` are those without it."""
+    parts: tuple[str, ...] = ()
+    """Titles of the effects that it consists of; empty if it is one."""
 
 
 _STATE = "State(unit={unit!r}, span={span}, start_bounds={span})\n"
@@ -122,6 +124,7 @@ _BOTH: Final = _Effect(
     f"{_FED.title}, and a third one beside it",
     _FED.declared + _BESIDE.declared,
     _FED.equations + _BESIDE.equations,
+    parts=(_FED.title, _BESIDE.title),
 )
 _LOAD: Final = _Effect(
     "a constant load on {at}",
@@ -190,7 +193,8 @@ def lack_of(
 ) -> Lack | None:
     """The effect that explains most of what a plant leaves; None if none is justified.
 
-    Effects that add few values come first, and those that could not win if they left nothing are not fitted.
+    Effects that add few values come first, and those that could not win if they left nothing are not fitted,
+    nor those of whose parts none could be.
 
     Args:
         base: the plant as fitted without it.
@@ -205,14 +209,17 @@ def lack_of(
     structure = base.model.structure
     price = math.log(max(independent, 2.0))
     least = independent * math.log(max(left, 1.0)) / 2 - _JUSTIFIED.sure
+    unfitted: set[str] = set()
     for grown in _plants_with_effects(base.model, period):
         price_of_added = grown.added * price / 2
         if price_of_added >= least:
             break
-        if grown.model is None:
+        parts = grown.effect.parts
+        if grown.model is None or (parts and unfitted.issuperset(parts)):
             continue
         fitted = fit(grown.model.parameters(**base))
         if fitted is None:
+            unfitted.add(grown.effect.title)
             continue
         parameters, left_by_effect = fitted
         if left_by_effect > (1.0 - _JUSTIFIED.explained) * left:
@@ -237,7 +244,8 @@ def _plants_with_effects(model: Model, period: float) -> tuple[_Grown, ...]:
     grown = []
     for effect, words in _effects(model, period):
         title, declared, lines = (text.format(**words) for text in effect[:3])
-        named = effect._replace(title=title, declared=declared, equations=lines)
+        parts = tuple(part.format(**words) for part in effect.parts)
+        named = _Effect(title, declared, lines, parts)
         grown.append(_Grown(model, named, words))
     return tuple(sorted(grown, key=attrgetter("added")))
 
@@ -276,7 +284,7 @@ def _effects(model: Model, period: float) -> Iterator[tuple[_Effect, dict[str, A
 
 
 def _effects_on_state(
-    state: State, drives: Iterable[Drive], slow: float, period: float
+    state: State, drives: Sequence[Drive], slow: float, period: float
 ) -> Iterator[tuple[_Effect, dict[str, Any]]]:
     """The effects on a state, and those that need a drive which moves it."""
     for effect in (_BESIDE, _LOAD):
@@ -289,8 +297,8 @@ def _effects_on_state(
         }
         for effect in (_FED, _BOTH):
             yield effect, words
-        if low < 0.0 < high:
-            yield _FRICTION, words
+    if drives and low < 0.0 < high:
+        yield _FRICTION, _words_at(state, slow, period)
 
 
 def _words_at(
