@@ -133,12 +133,7 @@ def propose_several(
         around_of(unit_of(table, sources, name), disturbances, columns)
         for name in names.outputs
     ]
-    # What an output tends to without inputs is known where it is measured.
-    centres = (
-        tuple(centre_of((u.low, u.high)) for u in inputs)
-        if not any(surroundings)
-        else (0.0,) * len(inputs)
-    )
+    centres = _centres_of(inputs, surroundings)
     drives = [
         _Drive(columns[name] - centre, u.low - centre, u.high - centre)
         for name, u, centre in zip(names.inputs, inputs, centres, strict=True)
@@ -175,6 +170,18 @@ def propose_several(
             *note_on_period(fastest, resampled.period, period),
         ),
     )
+
+
+def _centres_of(
+    inputs: Sequence[Signal], surroundings: Sequence[Around | None]
+) -> tuple[float, ...]:
+    """The levels from which the effects of inputs are counted.
+
+    They are 0 where a disturbance says what an output tends to without inputs.
+    """
+    if any(surroundings):
+        return (0.0,) * len(inputs)
+    return tuple(centre_of((u.low, u.high)) for u in inputs)
 
 
 class _NamesByRole(NamedTuple):

@@ -41,7 +41,7 @@ _SHOWS = 1e-8
 """Share of the expected variance below which a change does not show in a reading."""
 _HOPELESS = -8.0
 """Evidence at which an onset is dropped, nats."""
-_LEAST_SHARE = -0.95
+LEAST_SHARE = -0.95
 """Least change of a parameter as a share of what it was: it keeps its sign."""
 _ROOT = math.sqrt(2.0)
 _PEAK = 1.0 / math.sqrt(2.0 * math.pi)
@@ -376,7 +376,7 @@ def _carry_traces(  # noqa: PLR0917
             for k in range(size):
                 new[j] += moved[j, k] * trace[k]
         if rows.relative[r] >= 0:
-            shift = max(traces.mean[t], _LEAST_SHARE)
+            shift = max(traces.mean[t], LEAST_SHARE)
             _bend(changed[rows.relative[r]], moved, shift, trace, new)
         for j in range(n):
             trace[j] = new[j]

@@ -14,7 +14,15 @@ from typing import Final
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.dynamics.bank import ChangeRows, Reading, spawn, step, tally, unborn
+from twinmatch.dynamics.bank import (
+    LEAST_SHARE,
+    ChangeRows,
+    Reading,
+    spawn,
+    step,
+    tally,
+    unborn,
+)
 from twinmatch.health.faults import EVERY as EVERY_DRIVE
 from twinmatch.health.faults import TRAITS, Fault, Subject
 from twinmatch.health.hypotheses import (
@@ -53,8 +61,6 @@ _FOLLOWING: Final = _Following()
 _HOUR: Final = 3600.0
 _LEAST_LOG_WEIGHT: Final = math.log(0.01)
 """Log-weight of a level from which on changes begin in it."""
-_LEAST_FACTOR: Final = 0.05
-"""Least factor on a number that is tracked by its logarithm."""
 _INTERESTING: Final = -6.0
 """Evidence below which a cause is not looked at, nats."""
 
@@ -507,7 +513,7 @@ class Competition:
         by_size = trace.copy()
         if row.is_relative:
             number = self.healthy.numbers[row.number]
-            factor = max(1.0 + shift, _LEAST_FACTOR)
+            factor = 1.0 + max(shift, LEAST_SHARE)
             change[number] = math.log(factor) * trace[number]
             by_size[number] = trace[number] / factor
         return change, by_size
