@@ -26,7 +26,7 @@ from twinmatch.dynamics import (
 from twinmatch.fitting import FittingError, GateLimits, Match, Status, match
 from twinmatch.fitting.gate import FitEvidence, first_excited, judge
 from twinmatch.fitting.problem import Unknown, unknown_parameters
-from twinmatch.fitting.structures import SETTLE, fit_structure
+from twinmatch.fitting.structures import fit_structure, settling_samples
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
 
@@ -434,12 +434,13 @@ def test_the_first_samples_are_not_judged() -> None:
     window = recorded(TRUTH_STRUCTURES)
     frozen = window.output.copy()
     fitted = fit_structure([window], FULL)
+    left_out = 2 + settling_samples(Peltier, window.period)
     assert (
         fitted.measured[0].shape
         == fitted.simulated[0].shape
-        == (2, len(window) - 2 - SETTLE)
+        == (2, len(window) - left_out)
     )
-    np.testing.assert_array_equal(fitted.measured[0][0], frozen[2 + SETTLE :])
+    np.testing.assert_array_equal(fitted.measured[0][0], frozen[left_out:])
 
 
 def test_a_search_continues_from_an_earlier_fit() -> None:
@@ -495,7 +496,7 @@ def test_an_independent_search_finds_the_same() -> None:
 def _driven_round(model: Model, values: dict[str, float], window: Window) -> np.ndarray:
     run = simulate_window(model.parameters(**values), window)
     residuals = np.stack([window.output[2:] - run.output, window.input[2:] - run.input])
-    return residuals[:, SETTLE:]
+    return residuals[:, settling_samples(Peltier, window.period) :]
 
 
 def test_a_structure_counts_what_it_is_free_to_choose() -> None:
@@ -512,7 +513,7 @@ def test_a_plant_without_a_known_loop_is_fitted_by_its_output() -> None:
     fitted = fit_structure([Window(np.zeros(u.size), run.output, u)], Lag.model())
     assert fitted.parameters["gain"] == pytest.approx(3.0, rel=5e-3)
     assert fitted.parameters["lag"] == pytest.approx(7.0, rel=1e-2)
-    assert fitted.measured[0].shape == (1, u.size - 2 - SETTLE)
+    assert fitted.measured[0].shape == (1, u.size - 2 - settling_samples(Lag, 1.0))
     assert fitted.fit[0] > 0.99
     assert np.isnan(fitted.fit[1])
 

@@ -45,9 +45,11 @@ from twinmatch.fitting.problem import (
 )
 from twinmatch.signals import BoolArray, FloatArray, Window
 
-SETTLE: Final = 60
-"""Samples at a window's start that are simulated but not compared, until the loop has forgotten the twin's
-initial state and the sensor its first readings."""
+_SETTLE: Final = 0.6
+"""Time at a window's start that is simulated but not compared, time constants of the plant: the loop forgets the
+twin's initial state, and the sensor its first readings."""
+_SETTLE_SAMPLES: Final = (5, 60)
+"""Least and largest number of samples in that time; the largest where a plant has no time constant."""
 
 _SEEN: Final = 2 / 3
 """Share of a window that is fitted where the rest is held back."""
@@ -69,7 +71,7 @@ SPREAD: Final = 0.5
 
 @dataclass(frozen=True, eq=False)
 class StructureFit:
-    """A structure fitted to windows; the arrays omit the first `SETTLE` samples of each window."""
+    """A structure fitted to windows; the arrays omit the first `settling_samples` of each window."""
 
     parameters: Parameters
     """The fitted parameters."""
@@ -146,7 +148,7 @@ def fit_structure(
     """Find the unknown parameters of one structure from windows of one plant.
 
     Args:
-        windows: recorded windows, each with more than `SETTLE` + 2 samples.
+        windows: recorded windows, each with more than `settling_samples` + 2 samples.
         model: the plant in the structure to fit.
         start: an earlier fit of the same structure; without it the search has several starts.
         noise: unit of the residuals; default: the plant's.
@@ -224,6 +226,15 @@ def fit_session(
     return fit_structure(parts, model, noise=noise, law=None, informed=informed)
 
 
+def settling_samples(plant: type[Plant], period: float) -> int:
+    """Samples at a window's start that are simulated but not compared, for a sample time in seconds."""
+    least, most = _SETTLE_SAMPLES
+    slow = time_constant(plant)
+    if not slow:
+        return most
+    return min(max(round(_SETTLE * slow / period), least), most)
+
+
 def in_parts(
     plant: type[Plant],
     window: Window,
@@ -234,7 +245,8 @@ def in_parts(
     """A window in equal parts of about `stretch` time constants of the plant; if it has none, of about
     `otherwise` samples, 0: whole."""
     samples = stretch * time_constant(plant) / window.period or otherwise
-    number = max(1, round(len(window) / max(samples, 2.0 * SETTLE))) if samples else 1
+    least = 2.0 * settling_samples(plant, window.period)
+    number = max(1, round(len(window) / max(samples, least))) if samples else 1
     ends = window.first + np.linspace(0, len(window), number + 1).astype(int)
     return [window.part(first, end - 1) for first, end in pairwise(ends.tolist())]
 
@@ -260,7 +272,8 @@ def held_back_costs(
     ends = [math.ceil(_SEEN * len(window)) for window in windows]
     parts = []
     for window, end in zip(windows, ends, strict=True):
-        size = max(end, SETTLE + SKIPPED + 1)
+        settling = settling_samples(fitted.model.plant, window.period)
+        size = max(end, settling + SKIPPED + 1)
         parts.append(window.part(window.first, window.first + size - 1))
     before = fit_structure(
         parts, fitted.model, start=fitted, noise=noise, law=law, thorough=thorough
@@ -335,10 +348,11 @@ def _runs(
         raise FittingError("structures: there is no window; give at least one")
     runs = []
     for window in windows:
-        if len(window) <= SETTLE + SKIPPED:
+        settling = settling_samples(model.plant, window.period)
+        if len(window) <= settling + SKIPPED:
             raise FittingError(
                 f"structures: the window from sample {window.first} has {len(window)} samples; "
-                f"the first {SETTLE + SKIPPED} are not compared, give more"
+                f"the first {settling + SKIPPED} are not compared, give more"
             )
         checked = checked_law(model, window, law)
         runs.append(
@@ -350,7 +364,7 @@ def _runs(
                 law=checked,
                 weights=tuple(1.0 / noise.all),
                 robust=True,
-                settle=SETTLE,
+                settle=settling,
                 coarse=True,
                 beforehand=known,
             )
@@ -373,6 +387,7 @@ class _Problem:
         self._upper = np.array([unknown.bounds[1] for unknown in unknowns])
         self._scales = np.array([unknown.scale for unknown in unknowns])
         self._pull = runs[0].pull
+        self._settling = settling_samples(model.plant, runs[0].window.period)
 
     def values_of(
         self, parameters: Parameters, starts: Mapping[str, float] | None = None
@@ -425,25 +440,26 @@ class _Problem:
         parts = [best.values[self._places(window)] for window in range(len(self.runs))]
         first = self.runs[0]
         plant = first.model.plant
+        settling = self._settling
         signals = len(plant.outputs) + (len(plant.drives) if first.closed else 0)
         simulated = []
         states = []
         for run, part in zip(self.runs, parts, strict=True):
             response = run.simulate(part)
             both = np.concatenate([response.outputs.T, response.inputs.T])
-            simulated.append(both[:signals, SETTLE:])
-            states.append(response.states[SETTLE:-1])
+            simulated.append(both[:signals, settling:])
+            states.append(response.states[settling:-1])
         if not all(np.isfinite(rows).all() for rows in simulated):
             msg = f"structures: {first.model.title} has no finite response at the best parameters"
             raise FittingError(msg)
-        is_received = tuple(run.window.marks[SKIPPED + SETTLE :] for run in self.runs)
+        is_received = tuple(run.window.marks[SKIPPED + settling :] for run in self.runs)
         n_received = sum(int(marks.sum()) for marks in is_received)
         return StructureFit(
             parameters=first.parameters_at(parts[0]),
             starts=tuple(
                 run.starts_at(part) for run, part in zip(self.runs, parts, strict=True)
             ),
-            measured=tuple(run.measured[:signals, SETTLE:] for run in self.runs),
+            measured=tuple(run.measured[:signals, settling:] for run in self.runs),
             simulated=tuple(simulated),
             seen=is_received,
             converged=best.converged,
@@ -471,7 +487,7 @@ class _Problem:
 
     def _scores_by_block(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The gradients of the cost in each block of samples, shape (blocks, n), and their slope, (n, n)."""
-        length = sum(run.measured.shape[1] - SETTLE for run in self.runs)
+        length = sum(run.measured.shape[1] - self._settling for run in self.runs)
         size = min(round(_BLOCKS[1] * LASTING), max(length // _BLOCKS[0], 1))
         scores = []
         slope = np.zeros((values.size, values.size))
@@ -479,7 +495,7 @@ class _Problem:
             places = self._places(window)
             scores_of_run, slope_of_run = run.scores(values[places])
             slope[np.ix_(places, places)] += slope_of_run
-            settled = scores_of_run[SETTLE:]
+            settled = scores_of_run[self._settling :]
             for block in np.array_split(settled, max(round(len(settled) / size), 1)):
                 scores.append(
                     np.bincount(places, block.sum(axis=0), minlength=values.size)
