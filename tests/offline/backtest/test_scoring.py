@@ -14,6 +14,7 @@ from tests.offline.backtest.forecasts import forecast_of, linear_loop, set_point
 from twinmatch.dynamics import begin, simulate_closed_loop
 from twinmatch.forecasting import HORIZONS, ArxForecast
 from twinmatch.offline.backtest.origins import (
+    PAST,
     Origin,
     SettledStretch,
     ask,
@@ -67,7 +68,7 @@ def origins_of(
     """As a listener chooses them, sample by sample."""
     chosen = []
     for recorded in windows:
-        stretch = SettledStretch(recorded.period)
+        stretch = SettledStretch(recorded.period, len(recorded))
         pace = samples_within(interval, recorded.period)
         wanted = []
         for sample in recorded.samples(0):
@@ -102,6 +103,25 @@ def test_stretches_are_forecast_by_themselves() -> None:
     assert (chosen[0].count, chosen[1].count) == (40, 60)
     assert (chosen[1].past.first, chosen[1].past.last) == (150, 209)
     np.testing.assert_array_equal(chosen[1].came.output, np.arange(210.0, 270.0))
+
+
+def test_the_past_of_an_origin_is_no_longer_than_that_of_any_other() -> None:
+    recorded = window(PAST + 500, first=3)
+    early, late = origins([recorded], [200, PAST + 300], (60.0,))
+    assert (early.past.first, early.past.last) == (3, 200)
+    assert (late.past.first, late.past.last) == (301, PAST + 300)
+
+
+def test_a_stretch_keeps_its_newest_samples() -> None:
+    recorded = window(90, first=5)
+    stretch = SettledStretch(1.0, 40)
+    for k, sample in enumerate(recorded.samples(0)):
+        stretch.push(sample)
+        if k % 7 == 0:
+            newest = stretch.window()
+            assert newest.last == sample.index
+            assert len(newest) == min(k + 1, 40)
+            np.testing.assert_array_equal(newest.output, recorded.output[: k + 1][-40:])
 
 
 def test_seconds_count_and_not_samples() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
@@ -14,6 +15,10 @@ from twinmatch.forecasting import CONFIDENCE, ArxForecast, Band, Forecast
 from twinmatch.offline.backtest.scoring import PEERS, Marked, marks, samples_within
 from twinmatch.signals import FloatArray, Sample, Window
 from twinmatch.twin.matcher import one_thread
+
+PAST: Final = 4096
+"""Samples before an origin that its forecasters may look at: of a rig, more than an hour. Each origin has its own, so
+with all that came before them the time and the memory of a backtest would grow with the square of its session."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +36,9 @@ class Origin:
 
     @cached_property
     def past(self) -> Window:
-        """The samples known at the origin."""
-        return self.stretch.part(self.stretch.first, self.sample)
+        """The samples known at the origin, of these the newest `PAST`."""
+        first = max(self.stretch.first, self.sample - PAST + 1)
+        return self.stretch.part(first, self.sample)
 
     @cached_property
     def came(self) -> Window:
@@ -58,11 +64,12 @@ class Origin:
 
 
 class SettledStretch:
-    """Settled samples that follow one another, as a window that grows."""
+    """The newest of the settled samples that follow one another."""
 
-    def __init__(self, period: float) -> None:
-        """Begin without samples; `period` is the sample time, s."""
+    def __init__(self, period: float, longest: int) -> None:
+        """Begin without samples; `period` is the sample time, s, and `longest` the number that is kept."""
         self._period = period
+        self._longest = longest
         self._window: Window | None = None
         self._newest: list[Sample] = []
         """Samples that are not in the window yet."""
@@ -89,16 +96,16 @@ class SettledStretch:
         return self._count > 0 and self._count % pace == 0
 
     def window(self) -> Window:
-        """All samples so far.
+        """The samples that are kept.
 
         Raises:
             SignalError: there is none.
         """
         if self._newest or self._window is None:
             newest = Window.from_samples(self._newest, self._period)
-            self._window = (
-                newest if self._window is None else self._window.joined(newest)
-            )
+            joined = newest if self._window is None else self._window.joined(newest)
+            first = max(joined.first, joined.last - self._longest + 1)
+            self._window = joined.part(first, joined.last)
             self._newest = []
         return self._window
 

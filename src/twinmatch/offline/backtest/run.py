@@ -16,6 +16,7 @@ from twinmatch.dynamics import SKIPPED, Law, Parameters, Plant, channels
 from twinmatch.forecasting import CONFIDENCE, ArxForecast, Band, Forecast, Outlook
 from twinmatch.importing import open_any
 from twinmatch.offline.backtest.origins import (
+    PAST,
     Origin,
     SettledStretch,
     ask,
@@ -89,9 +90,9 @@ def with_constant_band(
 ) -> Forecast:
     """The same means with a band of one width at all horizons.
 
-    The band contains its share of the residuals of the closed-loop twin over the whole past (measured minus
-    twin, for output and input), or, without a law, of the driven twin (output only). The twin was matched on
-    part of that past, so the band tends to be narrow; such bands are usually made so.
+    The band contains its share of the residuals of the closed-loop twin over the past (measured minus twin, for
+    output and input), or, without a law, of the driven twin (output only). The twin was matched on part of that
+    past, so the band tends to be narrow; such bands are usually made so.
     """
     twin = response_on(parameters, past, law)
     outputs = _around(
@@ -172,7 +173,7 @@ class Listener:
         """Samples between two forecasts, besides those at every verdict."""
         self._farthest = samples_within(self.horizons[-1], period)
         """Samples within the farthest horizon."""
-        self._stretch = SettledStretch(period)
+        self._stretch = self._new_stretch()
         self._waiting: deque[tuple[int, _Outlooks]] = deque()
         """Outlooks, and the samples that they are from, until the samples have come that are forecast."""
         self.graded: dict[int, Callable[[], _Graded] | None] = {}
@@ -189,6 +190,10 @@ class Listener:
         if is_wanted and self._stretch.last == sample.index:
             self._waiting.append((sample.index, _outlooks(twin)))
 
+    def _new_stretch(self) -> SettledStretch:
+        """A stretch without samples, which keeps what the forecasts that wait need."""
+        return SettledStretch(self.common.settings.period, PAST + self._farthest)
+
     def finish(self) -> None:
         """Give the last forecasts to be graded, by as many samples as have come."""
         while self._waiting:
@@ -198,7 +203,7 @@ class Listener:
         """Take a usable sample; forecasts that end here, or with the stretch before, are graded."""
         if not self._stretch.continued_by(settled):
             self.finish()
-            self._stretch = SettledStretch(self.common.settings.period)
+            self._stretch = self._new_stretch()
         self._stretch.push(settled)
         while self._waiting and self._waiting[0][0] + self._farthest <= settled.index:
             self._grade_oldest()
