@@ -113,31 +113,16 @@ class Observer:
             period.
         """
         model = parameters.model
+        walks = random_walks or {}
         self._title = model.title
         self._model = model
-        random_walks = random_walks or {}
-        self.estimated = tuple(random_walks)
+        self.estimated = tuple(walks)
         """Names of the estimated parameters, in the order of the joint covariance."""
-        unknown = [name for name in random_walks if name not in model.names]
-        if unknown:
-            msg = f"{model.title}: {unknown[0]!r} cannot be estimated; choose from {', '.join(model.names)}"
-            raise PlantError(msg)
+        self._require_parameters(self.estimated)
         self._kernels = model.kernels_by(self.estimated)
-        n = len(model.states)
-        m = len(random_walks)
-        among = (self._kernels.UNKNOWN, model.names)
-        self._which = np.array(
-            [[names.index(name) for name in random_walks] for names in among],
-            dtype=np.int64,
-        ).reshape(2, m)
+        self._which = self._places_of_estimated()
         self._period = float(period)
-        rates = [
-            *self._deviations("drift", drift, n),
-            *(w.drift for w in random_walks.values()),
-        ]
-        self._process_noise = (
-            np.square(self._deviations("drift", rates, n + m)) * self._period
-        )
+        self._process_noise = self._variances_in_a_period(drift, walks)
         self._adaptation = np.zeros(0)
         if adaptive:
             self._adaptation = np.array([1.0, *np.zeros_like(model.noise)])
@@ -156,7 +141,7 @@ class Observer:
             states = begin(parameters, output, input=input, disturbances=self._row)
         self.states = states
         self._joint = self._first_covariance(
-            start, covariance, [w.start for w in random_walks.values()]
+            start, covariance, [walk.start for walk in walks.values()]
         )
         self.parameters = parameters
 
@@ -309,6 +294,36 @@ class Observer:
         self._process_noise = arrays.process_noise
         self._adaptation = arrays.adaptation
         self._row = arrays.disturbances
+
+    def _require_parameters(self, names: Sequence[str]) -> None:
+        """Raise an error for the first of these that is not a parameter."""
+        parameters = self._model.names
+        for name in names:
+            if name not in parameters:
+                raise PlantError(
+                    f"{self._title}: {name!r} cannot be estimated; choose from {', '.join(parameters)}"
+                )
+
+    def _places_of_estimated(self) -> NDArray[np.int64]:
+        """Where the m estimated parameters are among those that compiled code may estimate and among all,
+        shape (2, m)."""
+        places = np.zeros((2, len(self.estimated)), dtype=np.int64)
+        for k, name in enumerate(self.estimated):
+            places[0, k] = self._kernels.UNKNOWN.index(name)
+            places[1, k] = self._model.names.index(name)
+        return places
+
+    def _variances_in_a_period(
+        self, drift: ArrayLike, walks: Mapping[str, RandomWalk]
+    ) -> FloatArray:
+        """Variances that a period adds to the states and, after them, to the estimated parameters."""
+        n = len(self._model.states)
+        of_states = self._deviations("drift", drift, n)
+        of_walks = [walk.drift for walk in walks.values()]
+        per_second = self._deviations(
+            "drift", [*of_states, *of_walks], n + len(of_walks)
+        )
+        return np.asarray(np.square(per_second) * self._period)
 
     def _first_covariance(
         self,
