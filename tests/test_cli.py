@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import gc
 import io
 import itertools
 import json
@@ -32,7 +33,7 @@ from twinmatch.compiled import compiled
 from twinmatch.importing import open_any
 from twinmatch.launching.forking import fork_server
 from twinmatch.offline.judging import judge, terms_from_files
-from twinmatch.offline.processes import held_interrupts
+from twinmatch.offline.processes import GARBAGE, LASTING_GARBAGE, held_interrupts
 from twinmatch.sessions import read_session, samples_of, write_session
 from twinmatch.showing.console import Console
 from twinmatch.showing.terminal import Screen
@@ -573,6 +574,21 @@ def test_a_command_leaves_its_objects_to_the_end_of_the_process(tmp_path: Path) 
     process = Process(sys.executable, "-c", ENDING, output=tmp_path / "said")
     assert process.wait() == 0
     assert process.lines[-1] == "True"
+
+
+def test_only_what_runs_for_days_has_its_garbage_collected_often(
+    tmp_path: Path, capsys: Any
+) -> None:
+    before = gc.get_threshold()
+    nowhere = str(tmp_path / "nowhere")
+    try:
+        assert main(["replay", nowhere]) == 2
+        assert gc.get_threshold()[0] == GARBAGE
+        assert main(["virtual-rig", "--tell", nowhere, "stop"]) == 2
+        assert gc.get_threshold()[0] == LASTING_GARBAGE
+    finally:
+        gc.set_threshold(*before)
+    assert capsys.readouterr().err.count(nowhere) == 2
 
 
 def test_ctrl_c_while_judging_takes_effect_between_two_samples(

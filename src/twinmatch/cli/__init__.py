@@ -19,7 +19,7 @@ from twinmatch import __version__
 from twinmatch.cli.starting import started
 from twinmatch.errors import EXIT_INTERRUPTED, EXIT_USER_ERROR, TwinmatchError
 from twinmatch.nodes import require_ros
-from twinmatch.offline.processes import GARBAGE
+from twinmatch.offline.processes import GARBAGE, LASTING_GARBAGE
 from twinmatch.printing import printable_output
 
 __all__ = ["main"]
@@ -58,6 +58,10 @@ _OF_ROS: Final = frozenset({"demo", "live", "play", "dashboard", "foxglove", "ap
 it with `--live` only."""
 _LAUNCHING: Final = frozenset({"attach", "live", "play"})
 """Commands that start processes, which a signal that comes meanwhile must not leave behind."""
+_LASTING: Final = frozenset(
+    {"attach", "dashboard", "demo", "foxglove", "live", "play", "virtual_rig"}
+)
+"""Commands that may run for days, by the names of their modules: their garbage is not left to add up."""
 _EXTRAS: Final = {
     "bokeh": "dashboard",
     "distributed": "cluster",
@@ -106,6 +110,8 @@ def _run(arguments: Sequence[str] | None) -> int:
         command: Callable[[argparse.Namespace], int] = options.command
         if (name := command.__module__.rpartition(".")[2]) in _OF_ROS:
             require_ros(name)
+        if name in _LASTING:
+            gc.set_threshold(LASTING_GARBAGE)
         if name in _LAUNCHING and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
             signal.signal(signal.SIGTERM, signal.default_int_handler)
         if getattr(options, "allow_fmu", None) is not None:

@@ -18,8 +18,11 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 
-GARBAGE: Final = 50_000
-"""Objects between two collections: imports, fits and figures make many objects and hardly any garbage."""
+GARBAGE: Final = 500_000
+"""Objects between two collections in a command that ends: imports, fits and figures make many objects, nearly
+all of them still used or freed without a collection."""
+LASTING_GARBAGE: Final = 50_000
+"""Objects between two collections in a command that runs for days."""
 
 
 class _DeferredInterrupt:
