@@ -44,6 +44,17 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def panel(
+    figure: Figure, cell: SubplotSpec | None = None, sharex: Axes | None = None
+) -> Axes:
+    """Axes in a cell of the figure, or in the whole of it."""
+    from twinmatch.showing.figures.panel import Panel  # noqa: PLC0415
+
+    if cell is None:
+        return figure.add_subplot(axes_class=Panel, sharex=sharex)
+    return figure.add_subplot(cell, axes_class=Panel, sharex=sharex)
+
+
 def stack(
     figure: Figure, ratios: Sequence[float], cell: SubplotSpec | None = None
 ) -> list[Axes]:
@@ -52,7 +63,7 @@ def stack(
     shape: Any = {"nrows": len(ratios), "ncols": 1, "height_ratios": list(ratios)}
     grid = figure.add_gridspec(**shape) if cell is None else cell.subgridspec(**shape)
     for row in range(len(ratios)):
-        axes.append(figure.add_subplot(grid[row, 0], sharex=axes[0] if axes else None))
+        axes.append(panel(figure, grid[row, 0], axes[0] if axes else None))
     for upper in axes[:-1]:
         upper.tick_params(labelbottom=False)
     return axes
@@ -81,12 +92,18 @@ def columns(
 
 def _arrange(figure: Figure) -> None:
     """Lay the figure out once; matplotlib would otherwise repeat that for every file."""
+    from twinmatch.showing.figures.panel import Panel  # noqa: PLC0415
+
     engine = figure.get_layout_engine()
     if engine is not None:
         for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
             if not axis.get_label_text():
                 # otherwise its ticks are laid out again to place no label
                 axis.set_label_coords(0.0, 0.0)
+        for axes in figure.axes:
+            # what keeps its shape is placed by what surrounds it
+            if isinstance(axes, Panel) and axes.get_aspect() == "auto":
+                axes.estimate_once()
         engine.execute(figure)
         # with another, matplotlib would draw the figure twice
         figure.set_layout_engine(None)

@@ -19,6 +19,7 @@ from twinmatch.showing.figures.drawing import (
     empty,
     name_signals,
     new_figure,
+    panel,
     stack,
     styled,
 )
@@ -59,7 +60,7 @@ def draw_criteria(verdict: Verdict) -> Figure:
     figure = new_figure(10, 4.8)
     grid = figure.add_gridspec(2, 2)
     for k, (attribute, name, hint) in enumerate(_PANELS):
-        axes = figure.add_subplot(grid[k // 2, k % 2])
+        axes = panel(figure, grid[k // 2, k % 2])
         _draw_bars(axes, verdict, attribute)
         axes.set_title(f"{name} ({hint})")
         if k == 0:
@@ -123,7 +124,7 @@ def draw_matrix(verdict: Verdict) -> Figure:
     """The ν-gaps between all candidates as a heat map, and their sums."""
     size = 1.2 + 0.55 * len(verdict.candidates)
     figure = new_figure(size + 2.6, size)
-    fill_matrix(figure.add_subplot(), verdict)
+    fill_matrix(panel(figure), verdict)
     return figure
 
 
@@ -185,7 +186,7 @@ def draw_parameters(
     names = fitted[0].match.free if fitted else ()
     figure = new_figure(10, max(1.75 * len(names), 1.5) + 0.4)
     if not names:
-        empty(figure.add_subplot(), "no match was made")
+        empty(panel(figure), "no match was made")
         return figure
     plant = fitted[0].match.parameters.model.plant
     axes = stack(figure, [1.0] * len(names))

@@ -26,6 +26,7 @@ from twinmatch.showing.figures.drawing import (
     draw_set_point,
     empty,
     new_figure,
+    panel,
     stack,
     styled,
 )
@@ -54,7 +55,7 @@ def draw_forecasts(fans: Sequence[Fan], plant: type[Plant]) -> Figure:
     rows = max(-(-len(fans) // columns), 1)
     figure = new_figure(10 if columns > 1 else 7.5, 4.2 * rows + 0.4)
     if not fans:
-        empty(figure.add_subplot(), "no forecast was made")
+        empty(panel(figure), "no forecast was made")
         return figure
     grids = figure.add_gridspec(rows, columns, wspace=0.04, hspace=0.06)
     signals = signal_names(plant)
@@ -186,7 +187,7 @@ def draw_backtest(backtest: Backtest) -> Figure:
     figure = new_figure(11, 9.5)
     grid = figure.add_gridspec(4, 2, height_ratios=(2.4, 1.8, 1.2, 1.2))
     cards = backtest.cards
-    errors, coverage = (figure.add_subplot(grid[0, k]) for k in range(2))
+    errors, coverage = (panel(figure, grid[0, k]) for k in range(2))
     if cards:
         looks = _looks(cards)
         _draw_errors(errors, cards, backtest.horizons, looks)
@@ -199,10 +200,10 @@ def draw_backtest(backtest: Backtest) -> Figure:
     else:
         empty(errors, "no forecast could be judged")
         coverage.set_axis_off()
-    output = figure.add_subplot(grid[1, :])
+    output = panel(figure, grid[1, :])
     axes = (
         output,
-        *(figure.add_subplot(grid[row, :], sharex=output) for row in (2, 3)),
+        *(panel(figure, grid[row, :], output) for row in (2, 3)),
     )
     for k, window in enumerate(backtest.came):
         draw_outputs(

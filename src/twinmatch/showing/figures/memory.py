@@ -10,7 +10,7 @@ import numpy as np
 from twinmatch.dynamics import Plant
 from twinmatch.memory import MemoryReport, ParameterChange
 from twinmatch.settings import Rule
-from twinmatch.showing.figures.drawing import empty, new_figure, stack, styled
+from twinmatch.showing.figures.drawing import empty, new_figure, panel, stack, styled
 from twinmatch.showing.quantities import ParameterFormat, parameter_format
 from twinmatch.showing.style import MODEL, PLANT
 
@@ -40,7 +40,7 @@ def draw_memory(report: MemoryReport, plant: type[Plant]) -> Figure:
     lessons = report.lessons
     if not lessons:
         figure = new_figure(8, 2)
-        empty(figure.add_subplot(), "no session is remembered")
+        empty(panel(figure), "no session is remembered")
         return figure
     free = lessons[0].free
     figure = new_figure(

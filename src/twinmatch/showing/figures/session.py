@@ -22,6 +22,7 @@ from twinmatch.showing.figures.drawing import (
     legend_above,
     name_signals,
     new_figure,
+    panel,
     save,
     stack,
     styled,
@@ -393,9 +394,9 @@ def draw_verdict(
     figure = new_figure(12, 9)
     grid = figure.add_gridspec(4, 2, height_ratios=(3, 2, 0.9, 3))
     loops = channels(settings.plant)
-    uppers = [figure.add_subplot(cell) for cell in cells_for(len(loops), grid[0, :])]
-    controls = [figure.add_subplot(cell) for cell in cells_for(len(loops), grid[1, :])]
-    trust = figure.add_subplot(grid[2, :])
+    uppers = [panel(figure, cell) for cell in cells_for(len(loops), grid[0, :])]
+    controls = [panel(figure, cell) for cell in cells_for(len(loops), grid[1, :])]
+    trust = panel(figure, grid[2, :])
     for signal_axes in (*uppers, *controls):
         signal_axes.sharex(trust)
     last = last_verdict(verdicts)
@@ -427,8 +428,8 @@ def draw_verdict(
     time_axis(trust, settings.period, samples[0].index, samples[-1].index)
     if last is not None:
         if last.modelled:
-            draw_gains(figure.add_subplot(grid[3, 0]), last)
-        fill_matrix(figure.add_subplot(grid[3, 1]), last)
+            draw_gains(panel(figure, grid[3, 0]), last)
+        fill_matrix(panel(figure, grid[3, 1]), last)
     save(figure, path)
 
 
