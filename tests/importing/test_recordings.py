@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,8 @@ import scipy.sparse
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.places import SHIPPED
+from twinmatch import importing
 from twinmatch.importing import open_any, read_recording
 from twinmatch.sessions import SessionError, write_session
 from twinmatch.sessions.files import RecordingError
@@ -359,3 +363,30 @@ def test_missing_paths_are_named(tmp_path):
         open_any(tmp_path / "file.csv" / "deeper")
     with pytest.raises(SessionError, match="the folder has no MCAP file"):
         open_any(tmp_path)
+
+
+OPENED = """
+import sys
+from twinmatch.importing import open_any
+session = open_any(sys.argv[1])
+print(len(session.samples), "twinmatch.importing.tables" in sys.modules)
+from twinmatch.importing import read_recording, resample
+print(read_recording.__name__, resample.__name__, "twinmatch.importing.tables" in sys.modules)
+"""
+
+
+def test_opening_a_session_imports_nothing_that_reads_tables() -> None:
+    completed = subprocess.run(
+        [sys.executable, "-c", OPENED, str(SHIPPED)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    opened, asked = completed.stdout.splitlines()
+    assert opened.endswith(" False")
+    assert asked == "read_recording resample True"
+
+
+def test_what_importing_does_not_offer_is_missing() -> None:
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        importing.nothing  # noqa: B018

@@ -103,7 +103,9 @@ LATER = (
     "twinmatch.fmu",
     "sympy",
     "concurrent.futures.process",
+    "mcap.reader",
     "mcap.writer",
+    "twinmatch.importing.tables",
 )
 """What the start of a command that judges, or of the node that does, must not import: few runs need it."""
 PAGE = "twinmatch.showing.page"

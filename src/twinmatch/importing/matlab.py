@@ -24,7 +24,6 @@ from twinmatch.sessions.files import RecordingError, open_regular
 from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
-MAT_BEGINNING: Final = b"MATLAB 5.0 MAT-file"
 _ORDERS: Final = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}
 """Byte order by the version and mark at the end of the header."""
 _HEADER: Final = 128

@@ -1,4 +1,4 @@
-"""Opens any source of samples: a session, or a recording of the Peltier rig made by another program.
+"""Reads recordings of the Peltier rig that other programs made.
 
 A **.mat** recording (MATLAB version 5, 6 or 7) holds the matrix `simout` with one row per sample and four
 columns: PWM command (−255 to 255), temperature (°C), time (s), set-point (°C).
@@ -19,33 +19,29 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from twinmatch.importing.clocks import require_agreement
 from twinmatch.importing.mapped import PlantSignal, check_range
-from twinmatch.importing.matlab import MAT_BEGINNING
 from twinmatch.importing.resampling import period_of_ticks
 from twinmatch.importing.tables import Table, read_table, split_title
 from twinmatch.importing.times import Times
-from twinmatch.plants import Peltier, find_plant
-from twinmatch.plants.files import is_plant_file
+from twinmatch.plants import Peltier
 from twinmatch.sampling.sources import INPUT, OUTPUT, REFERENCE, TIME
 from twinmatch.sessions.cdr import plant_messages
 from twinmatch.sessions.files import (
     ProgressCallback,
     RecordingError,
     SessionError,
-    open_regular,
 )
 from twinmatch.sessions.messages import SAMPLE, topics_of
-from twinmatch.sessions.reader import Session, named, read_session
+from twinmatch.sessions.reader import Session, named
 from twinmatch.sessions.recording import samples_of
-from twinmatch.sessions.records import MAGIC
 from twinmatch.signals import KELVIN, Sample, Window
 
 _SUFFIXES: Final = (".mat", ".csv")
+_MAT_BEGINNING: Final = b"MATLAB 5.0 MAT-file"
 _MATRIX: Final = "simout"
 _MATRIX_SIGNALS: Final = (INPUT, OUTPUT, TIME, REFERENCE)
 """The signals of the matrix, column by column."""
@@ -145,73 +141,28 @@ def _titles(table: Table) -> dict[str, str]:
     return titles
 
 
-def open_any(
-    path: Path | str,
-    topic: str | None = None,
-    progress: ProgressCallback | None = None,
-    *,
-    plant: str | None = None,
+def open_recording(
+    path: Path, beginning: bytes, progress: ProgressCallback | None = None
 ) -> Session:
-    """Open a session (folder or `.mcap` file) or a recording (`.mat`, `.csv`) as a session.
+    """A recording of the rig as a session, with the messages that its import would have.
 
-    The first bytes of a file determine its type, before its name.
-
-    Args:
-        path: folder or file.
-        topic: the topic with the samples, if a session has several.
-        progress: called with the amount read and the total.
-        plant: name or file of the plant, as given by the user; needed if the session does not name it, or
-            the plant is in a file.
+    `beginning` are the first bytes of the file.
 
     Raises:
-        SessionError: neither a session nor a recording, not usable, or of another plant.
-        PlantError: the plant does not exist.
+        SessionError: it is not a recording.
+        RecordingError: as of `read_recording`.
     """
-    session = _open(Path(path), topic, progress)
-    if not plant:
-        return session
-    given = find_plant(plant)
-    recorded = session.plant
-    if recorded and recorded != given.name and not is_plant_file(recorded):
-        raise SessionError(
-            f"{path}: was recorded from plant {recorded}, not {given.name}; leave --plant out"
-        )
-    return replace(session, plant=given.name)
-
-
-def _open(path: Path, topic: str | None, progress: ProgressCallback | None) -> Session:
-    beginning = _beginning(path)
-    if (
-        beginning is None
-        or beginning.startswith(MAGIC)
-        or path.suffix.lower() == ".mcap"
-    ):
-        return read_session(path, topic, progress)
-    if path.suffix.lower() in _SUFFIXES:  # with the messages that its import would have
-        return session_of(
-            path, samples_of(read_recording(path, progress)), plant=Peltier.name
-        )
+    if path.suffix.lower() in _SUFFIXES:
+        samples = samples_of(read_recording(path, progress))
+        return session_of(path, samples, plant=Peltier.name)
     hint = (
         "; a MATLAB file needs the suffix .mat"
-        if beginning.startswith(MAT_BEGINNING)
+        if beginning.startswith(_MAT_BEGINNING)
         else ""
     )
     raise SessionError(
         f"{path}: is neither a session (folder or .mcap) nor a recording (.mat, .csv){hint}"
     )
-
-
-def _beginning(path: Path) -> bytes | None:
-    """The first bytes of a file; None for a folder."""
-    try:
-        with open_regular(path) as file:
-            return file.read(32)
-    except IsADirectoryError:
-        return None
-    except FileNotFoundError:
-        raise SessionError(f"{path}: does not exist") from None
-    except OSError as error:
-        raise SessionError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def session_of(

@@ -36,7 +36,6 @@ from twinmatch.sessions.metadata import (
 )
 from twinmatch.sessions.reader import check_samples, gaps_of
 from twinmatch.sessions.scan import TRUNCATED, Scan, messages_of
-from twinmatch.sessions.strict import strict_refusal
 from twinmatch.sessions.writer import LIBRARY, SessionWriter, being_written, sync_folder
 from twinmatch.settings import setting
 from twinmatch.signals import NANOSECONDS, Sample, Window
@@ -363,6 +362,9 @@ def _files_at_rest(folder: Path) -> list[Path]:
 
 
 def _examine(folder: Path, files: list[Path]) -> Repair:
+    # only repairs read strictly
+    from twinmatch.sessions.strict import strict_refusal  # noqa: PLC0415
+
     faults: list[str] = []
     counts: Counter[str] = Counter()
     start = 2**64

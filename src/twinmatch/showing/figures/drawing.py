@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.showing.figures.panel import estimate_panels_once, panel_class
 from twinmatch.showing.quantities import ShownSignals, with_unit
 from twinmatch.showing.style import PLANT, SET_POINT, SIDE_BY_SIDE, rc
 from twinmatch.signals import FloatArray, Window
@@ -48,11 +49,9 @@ def panel(
     figure: Figure, cell: SubplotSpec | None = None, sharex: Axes | None = None
 ) -> Axes:
     """Axes in a cell of the figure, or in the whole of it."""
-    from twinmatch.showing.figures.panel import Panel  # noqa: PLC0415
-
     if cell is None:
-        return figure.add_subplot(axes_class=Panel, sharex=sharex)
-    return figure.add_subplot(cell, axes_class=Panel, sharex=sharex)
+        return figure.add_subplot(axes_class=panel_class(), sharex=sharex)
+    return figure.add_subplot(cell, axes_class=panel_class(), sharex=sharex)
 
 
 def stack(
@@ -92,18 +91,13 @@ def columns(
 
 def _arrange(figure: Figure) -> None:
     """Lay the figure out once; matplotlib would otherwise repeat that for every file."""
-    from twinmatch.showing.figures.panel import Panel  # noqa: PLC0415
-
     engine = figure.get_layout_engine()
     if engine is not None:
         for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
             if not axis.get_label_text():
                 # otherwise its ticks are laid out again to place no label
                 axis.set_label_coords(0.0, 0.0)
-        for axes in figure.axes:
-            # what keeps its shape is placed by what surrounds it
-            if isinstance(axes, Panel) and axes.get_aspect() == "auto":
-                axes.estimate_once()
+        estimate_panels_once(figure)
         engine.execute(figure)
         # with another, matplotlib would draw the figure twice
         figure.set_layout_engine(None)
