@@ -34,7 +34,7 @@ from twinmatch.record import (
     SAMPLED,
     comparable,
     differences,
-    document_of,
+    documents_of,
     object_of,
     tree_of,
 )
@@ -224,20 +224,35 @@ def test_records_survive_their_trees() -> None:
     assert read_back.match.intervals.shape == (2, 2)
 
 
+def described(record: Verdict | MatchReport) -> dict[str, Any]:
+    (document,) = documents_of([record])
+    return document
+
+
 def test_what_is_absent_is_null_in_json() -> None:
-    entry = json.loads(json.dumps(document_of(VERDICT), allow_nan=False))
+    entry = json.loads(json.dumps(described(VERDICT), allow_nan=False))
     first, second = entry["candidates"]
     assert entry["level"] == "doubtful"
     assert entry["nu_gap"] == [[0.0, 0.5], [0.5, 0.0]]
     absent = (entry["order"], entry["closed_rms_u"], first["newest"], first["margin"])
     assert {*absent, first["orders"][0]["aic_difference"]} == {None}
     assert second["newest"]["gain"] == 10
-    match = document_of(report())
+    match = described(report())
     assert (match["first"], match["last"], match["fit_y"]) == (0, 8, None)
     assert match["directions"] == [[1.0, 2.0], [3.0, 4.0]]
     assert match["standard_errors"] == [None, None]
     assert match["starts"] == {"sink": 296.0}
     assert match["parameters"]["ambient"] == 296.0
+
+
+def test_what_several_records_hold_is_described_once_and_what_is_equal_apart() -> None:
+    later = replace(VERDICT, sample=VERDICT.sample + 50)
+    equal = replace(VERDICT, candidates=tuple(map(replace, VERDICT.candidates)))
+    documents = documents_of([VERDICT, later, equal])
+    assert documents == [described(VERDICT), described(later), described(equal)]
+    first, second, third = (document["candidates"][0] for document in documents)
+    assert first is second
+    assert first is not third
 
 
 def test_a_record_of_another_version_is_refused() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from twinmatch.comparing import Verdict
-from twinmatch.record.trees import document_of
+from twinmatch.record.trees import documents_of
 
 Document = Mapping[str, Any]
 """A verdict, or a part of it, as it is written into JSON."""
@@ -17,7 +17,7 @@ _ONE_SIDED: Final = 1.645
 
 def documents_of_verdicts(verdicts: Iterable[Verdict]) -> list[Document]:
     """Verdicts as `replay --json` writes them."""
-    return [document_of(verdict) for verdict in verdicts]
+    return [*documents_of(verdicts)]
 
 
 def check_trust(verdicts: Sequence[Document], outputs: Sequence[str] = ()) -> None:

@@ -1,7 +1,7 @@
 """The records of a run: verdicts, matches, requests, forecasts and their parts, described in one place.
 
 The dataclasses themselves are the description. Names and types of their fields give the fields of a message
-(`tree_of`, `fill`), the object again (`tree_of_message`, `object_of`), JSON (`document_of`) and the bit for
+(`tree_of`, `fill`), the object again (`tree_of_message`, `object_of`), JSON (`documents_of`) and the bit for
 bit comparison (`differences`). A new field is added to the dataclass and to the message; a test compares the
 two. Nothing here knows ROS: any object with the fields is a message.
 
@@ -15,7 +15,7 @@ from twinmatch.record.trees import (
     comparable,
     description_tree,
     differences,
-    document_of,
+    documents_of,
     fill,
     finite,
     object_of,
@@ -31,7 +31,7 @@ __all__ = [
     "comparable",
     "description_tree",
     "differences",
-    "document_of",
+    "documents_of",
     "fill",
     "finite",
     "object_of",

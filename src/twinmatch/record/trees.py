@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -32,6 +32,9 @@ Tree = dict[str, Any]
 
 Recorded = TypeVar("Recorded")
 
+_Parts = dict[int, tuple[Any, dict[str, Any]]]
+"""Parts of records that are described already, with their dictionaries, by identity; kept here, so that no
+other object gets it."""
 _ABSENT: Final[dict[Any, Any]] = {float: math.nan, int: -1, str: "", bool: False}
 
 
@@ -68,11 +71,20 @@ def object_of(kind: type[Recorded], tree: Tree) -> Recorded:
     return kind(**values)
 
 
-def document_of(record: Any) -> dict[str, Any]:
-    """An object as a dictionary of texts, finite numbers, booleans, None, lists and dictionaries.
+def documents_of(records: Iterable[Any]) -> list[dict[str, Any]]:
+    """Objects as dictionaries of texts, finite numbers, booleans, None, lists and dictionaries.
 
-    Absent values, NaN and infinities are None.
+    Absent values, NaN and infinities are None. A part that several of the objects hold, such as the scores of
+    a candidate in successive verdicts, is one dictionary in all of them, so do not change it.
     """
+    parts: _Parts = {}
+    return [_described(record, parts) for record in records]
+
+
+def _described(record: Any, parts: _Parts) -> dict[str, Any]:
+    known = parts.get(id(record))
+    if known is not None:
+        return known[1]
     document: dict[str, Any] = {}
     for field in fields_of(type(record)):
         value = getattr(record, field.name)
@@ -80,8 +92,11 @@ def document_of(record: Any) -> dict[str, Any]:
             document[field.name] = (
                 None if isinstance(value, float) and not math.isfinite(value) else value
             )
+        elif value is None:
+            document[field.name] = None
         else:
-            document.update(_entries(field, value))
+            document.update(_entries(field, value, parts))
+    parts[id(record)] = record, document
     return document
 
 
@@ -303,24 +318,23 @@ _READERS: Final[dict[Form, Callable[[RecordField, Tree], Any]]] = {
 _SHOWN: Final[dict[Form, Callable[[Any], Any]]] = {
     Form.WORD: lambda v: v.value,
     Form.ARRAY: lambda v: finite(v.tolist()),
-    Form.PART: document_of,
-    Form.PARTS: lambda v: [document_of(item) for item in v],
 }
 """How a value is shown in a document, if not as it is when `finite`."""
 
 
-def _entries(field: RecordField, value: Any) -> dict[str, Any]:
-    """The entries of a document that a field makes."""
+def _entries(field: RecordField, value: Any, parts: _Parts) -> dict[str, Any]:
+    """The entries of a document that a field with a value makes."""
     name = field.name
     form = field.form
-    if value is None:
-        return {name: None}
+    if form is Form.PARTS:
+        return {name: [_described(item, parts) for item in value]}
     if form is Form.SPAN:
         return {"first": value[0], "last": value[1]}
-    if form is Form.INLINE:
-        return {
-            f"{field.prefix}{key}": item for key, item in document_of(value).items()
-        }
+    if form in {Form.PART, Form.INLINE}:
+        part = _described(value, parts)
+        if form is Form.PART:
+            return {name: part}
+        return {f"{field.prefix}{key}": item for key, item in part.items()}
     if form is Form.PARAMETERS:
         plant, structure = value.model.key
         shown = {} if name != "parameters" else {"plant": plant, "structure": structure}

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict, ahead_words
 from twinmatch.offline.summary import SessionSummary, ShownTwin
-from twinmatch.record import document_of, finite
+from twinmatch.record import documents_of, finite
 from twinmatch.showing.quantities import parameter_format, percent, shown_outputs
 from twinmatch.twin import MatchReport
 
@@ -170,8 +170,8 @@ def document(
     """
     return {
         "session": session,
-        "matches": [document_of(m) for m in matches],
-        "verdicts": [document_of(v) for v in verdicts],
+        "matches": documents_of(matches),
+        "verdicts": documents_of(verdicts),
         "summary": {
             "leader": summary.leader,
             "leader_confidence": finite(summary.leader_confidence),
