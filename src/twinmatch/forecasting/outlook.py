@@ -178,6 +178,22 @@ def foresight_of(
     return Foresight(twins, law, drift=drift, period=period, swift=_FILTER.swift)
 
 
+@functools.lru_cache(maxsize=64)  # a backtest asks each candidate again and again
+def _foresight_alone(
+    parameters: Parameters, unsure: tuple[str, ...], law: Law | None, period: float
+) -> Foresight:
+    """What makes the forecasts of a twin alone."""
+    return foresight_of([(parameters, unsure)], law, period)
+
+
+@functools.lru_cache(maxsize=64)
+def _over_log_time(
+    leads: tuple[int, ...], samples: int
+) -> tuple[FloatArray, FloatArray]:
+    """The logarithms of all samples ahead, shape (samples,), and of the leads; not to be changed."""
+    return np.log(np.arange(1, samples + 1)), np.log(np.array(leads, dtype=np.float64))
+
+
 @functools.cache
 def _least_variances(plant: type[Plant]) -> FloatArray:
     """Least variance of each output and input that is forecast, shape (o + m, 1)."""
@@ -319,8 +335,11 @@ class Outlook:
         """
         if disturbances is None and self.sample.disturbances:
             disturbances = np.array(self.sample.disturbances)
-        foresight = foresight_of(
-            [(self.parameters, self.unsure)], self.law, self.period
+        twin = (self.parameters, self.unsure)
+        foresight = (
+            foresight_of([twin], self.law, self.period)
+            if self.parameters.model.is_external  # whoever solves its equations may change
+            else _foresight_alone(*twin, self.law, self.period)
         )
         loop_state = foresight.at(
             [self.states], [self.covariance], self.sample.inputs, self.controller
@@ -413,8 +432,7 @@ class Outlook:
 
     def _widths_ahead(self, samples: int) -> FloatArray:
         """The widths at every sample ahead, over log time linear between leads; shape (signals, samples)."""
-        ahead = np.log(np.arange(1, samples + 1))
-        knots = np.log(np.array(self.leads, dtype=np.float64))
+        ahead, knots = _over_log_time(self.leads, samples)
         return np.stack([np.interp(ahead, knots, row) for row in self.widths])
 
     def _notes_on_range(self, outputs: FloatArray) -> tuple[str, ...]:
