@@ -338,7 +338,7 @@ class Outlook:
         twin = (self.parameters, self.unsure)
         foresight = (
             foresight_of([twin], self.law, self.period)
-            if self.parameters.model.is_external  # whoever solves its equations may change
+            if self.parameters.model.is_external  # the program that solves its equations may change
             else _foresight_alone(*twin, self.law, self.period)
         )
         loop_state = foresight.at(
