@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import Final
 
@@ -30,6 +31,7 @@ from twinmatch.dynamics import (
     Plant,
     descend,
 )
+from twinmatch.dynamics.movement import rest_of
 from twinmatch.dynamics.pace import time_constant
 from twinmatch.fitting.data import FittingError
 from twinmatch.fitting.problem import (
@@ -45,11 +47,12 @@ from twinmatch.fitting.problem import (
 )
 from twinmatch.signals import BoolArray, FloatArray, Window
 
-_SETTLE: Final = 0.6
-"""Time at a window's start that is simulated but not compared, time constants of the plant: the loop forgets the
-twin's initial state, and the sensor its first readings."""
 _SETTLE_SAMPLES: Final = (5, 60)
-"""Least and largest number of samples in that time; the largest where a plant has no time constant."""
+"""Least and largest number of samples at a window's start that are simulated but not compared: the largest until the
+loop has forgotten the twin's initial state and the sensor its first readings."""
+_SETTLE: Final = 0.6
+"""Time after which they are compared where no initial state has to be forgotten, time constants of the plant: half of
+what the first reading's noise has moved is gone then."""
 
 _SEEN: Final = 2 / 3
 """Share of a window that is fitted where the rest is held back."""
@@ -226,13 +229,36 @@ def fit_session(
     return fit_structure(parts, model, noise=noise, law=None, informed=informed)
 
 
+@cache
 def settling_samples(plant: type[Plant], period: float) -> int:
-    """Samples at a window's start that are simulated but not compared, for a sample time in seconds."""
+    """Samples at a window's start that are simulated but not compared, for a sample time in seconds.
+
+    They are as many for all structures of a plant, which are compared with each other.
+    """
     least, most = _SETTLE_SAMPLES
     slow = time_constant(plant)
-    if not slow:
+    watched = [
+        plant.model(name)
+        for name, structure in plant.structures.items()
+        if structure.watched
+    ]
+    if not slow or not all(map(_begins_where_it_is, watched)):
         return most
     return min(max(round(_SETTLE * slow / period), least), most)
+
+
+def _begins_where_it_is(model: Model) -> bool:
+    """Whether every state is read by an output or its initial value estimated; of an FMU nobody knows."""
+    if model.is_external:
+        return False
+    parameters = model.typical()
+    states, inputs = rest_of(parameters)
+    slopes_of_outputs = model.kernels.slopes_at(
+        parameters.vector, states, inputs, model.disturbances
+    )[4]
+    is_read = np.any(slopes_of_outputs != 0.0, axis=0)
+    is_estimated = np.isin(model.states, model.structure.free_starts)
+    return bool(np.all(is_read | is_estimated))
 
 
 def in_parts(

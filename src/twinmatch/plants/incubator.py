@@ -194,7 +194,7 @@ class Incubator(Plant, name="incubator"):
         "box with mass, sensor lag": Structure(
             free=(*_HEAVY, "sensor_lag"),
             parts=frozenset({_BED, _BOX, _LAG}),
-            free_starts=("bed", "box"),
+            free_starts=("air", "bed", "box"),
         ),
     }
 
