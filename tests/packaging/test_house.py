@@ -25,6 +25,7 @@ TOOLS = Path(sys.executable).parent
         pytest.param(
             ["mypy"], id="types", marks=pytest.mark.long("the types of everything")
         ),
+        pytest.param(["mypy", "src/twinmatch_msgs/setup.py"], id="types of the build"),
         pytest.param(["lint-imports"], id="layers"),
     ],
 )
