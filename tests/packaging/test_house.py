@@ -54,8 +54,8 @@ NOT_PRIVATE = {"_replace", "_fields", "_asdict", "_exit"}
 """Named like that by the language's library, which documents them."""
 NO_OTHER_WAY = {"_H1"}
 """The heater of the model in the package `tclab`, which can be set nowhere else."""
-WATCHES_NUMBA = "test_compiled.py"
-"""Tests that what `compiled` relies on within numba is still there."""
+WATCHES_NUMBA = "test_numba_insides.py"
+"""Tests that what `numba_insides` relies on within numba is still there."""
 
 
 def private_names(path: Path) -> Iterator[str]:
