@@ -123,6 +123,17 @@ class _Part(JITCodeLibrary):
     everything below once more: four fifths of its time.
     """
 
+    def _optimize_functions(self, module: Any) -> None:
+        """Simplify the functions, each by itself, so that those of several kernels do not have to.
+
+        LLVM's first level is enough, as the kernels are optimised at the highest.
+        """
+        module.data_layout = self._codegen._data_layout
+        passes, builder = self._codegen._function_pass_manager(opt=1)
+        for function in module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
+
     def _optimize_final_module(self) -> None:
         """The kernels that this is linked into are optimised."""
 
