@@ -10,6 +10,7 @@ import base64
 import csv
 import hashlib
 import io
+import json
 import os
 import shutil
 import subprocess
@@ -18,6 +19,8 @@ import tempfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+
+from twinmatch.shipped_code import MADE_WITH, versions
 
 OWN_FOLDERS = ("NUMBA_CACHE_DIR", "NUMBA_CACHE_LOCATOR_CLASSES", "NUMBA_CPU_NAME")
 """Settings of numba that would have it keep kernels elsewhere, or for another processor."""
@@ -38,6 +41,8 @@ def main(path: str, compiled: Path | None = None) -> int:
         if compiled is not None:
             copy_kernels(compiled, folder / "twinmatch")
         prepare(folder)
+        made_with = folder / "twinmatch" / "machine_code" / MADE_WITH.name
+        made_with.write_text(json.dumps(versions()), "utf-8")
         files = {
             str(file.relative_to(folder)): file.read_bytes()
             for file in machine_code(folder / "twinmatch")
@@ -70,7 +75,7 @@ def prepare(folder: Path) -> None:
 
 
 def machine_code(package: Path) -> Iterator[Path]:
-    """The files to add: kernels with their indices, and plants.
+    """The files to add: kernels with their indices, plants, and what they were made with.
 
     Plants of users are found by their equations, those of the package by their sources alone.
     """
@@ -78,6 +83,7 @@ def machine_code(package: Path) -> Iterator[Path]:
     for file in sorted(package.glob("machine_code/*.code")):
         if not file.name.startswith("equations_"):
             yield file
+    yield from package.glob(f"machine_code/{MADE_WITH.name}")
 
 
 def add(wheel: Path, files: dict[str, bytes]) -> None:

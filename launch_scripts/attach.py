@@ -16,4 +16,5 @@ import sys
 from twinmatch.cli import main
 
 if __name__ == "__main__":
-    sys.exit(main(["attach", *sys.argv[1:]]))
+    sys.argv[1:1] = ["attach"]
+    sys.exit(main())

@@ -14,4 +14,5 @@ import sys
 from twinmatch.cli import main
 
 if __name__ == "__main__":
-    sys.exit(main(["demo", *sys.argv[1:]]))
+    sys.argv[1:1] = ["demo"]
+    sys.exit(main())

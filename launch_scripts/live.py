@@ -17,4 +17,5 @@ import sys
 from twinmatch.cli import main
 
 if __name__ == "__main__":
-    sys.exit(main(["live", *sys.argv[1:]]))
+    sys.argv[1:1] = ["live"]
+    sys.exit(main())

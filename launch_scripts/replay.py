@@ -13,4 +13,5 @@ import sys
 from twinmatch.cli import main
 
 if __name__ == "__main__":
-    sys.exit(main(["play", *sys.argv[1:]]))
+    sys.argv[1:1] = ["play"]
+    sys.exit(main())

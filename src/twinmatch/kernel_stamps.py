@@ -63,7 +63,7 @@ def _function_of(value: Any) -> FunctionType | None:
     for function in (
         value,
         getattr(value, "py_func", None),
-        getattr(value, "_defn", None),
+        getattr(value, "__wrapped__", None),
     ):
         if isinstance(function, FunctionType):
             return function

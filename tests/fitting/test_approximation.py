@@ -176,6 +176,62 @@ def test_equations_without_a_dead_time_are_not_derived_again(
     assert asked == [frozenset({"dead time"})]
 
 
+class Annex(Room, name="annex_behind_a_pipe"):
+    """A room whose class inherits the pipe."""
+
+
+class Halves(Room, name="room_behind_two_pipes"):
+    """A room with two heaters, each behind a pipe with the same dead time: one is declared here, one inherited."""
+
+    second_heater = Drive(unit="", limits=(0.0, 1.0), noise=0.01)
+    second_pipe = DeadTime(unit="", span=(0.0, 1.0))
+    structures = {  # noqa: RUF012
+        "late": Structure(
+            free=("gain", "lag", "rest", "delay"),
+            parts=frozenset({"dead time"}),
+            free_starts=("pipe_0", "pipe_1", "second_pipe_0", "second_pipe_1"),
+        )
+    }
+
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+        """Each heater gives half of the heat."""
+        first = self.pipe.after(self.heater, self.delay)
+        second = self.second_pipe.after(self.second_heater, self.delay)
+        heat = self.gain * (first.value + second.value) / 2
+        rates = {**first.rates, **second.rates}
+        rates[self.inner] = (self.rest + heat - self.inner) / self.lag
+        start = {**first.start, **second.start, self.inner: self.temperature}
+        return Equations(rates=rates, output=self.inner, start=start)
+
+
+def shift_of(plant: type[Plant], window: Window) -> FloatArray:
+    """What the chains of a plant near the truth shift."""
+    near_truth = {"gain": 55.0, "lag": 380.0, "rest": 20.0, "delay": 42.0}
+    start = plant.model("late").parameters(**near_truth)
+    free = start.model.structure.free
+    problem = Problem(window, free, start, Noise.of(plant), None)
+    return shift_by_dead_times(problem, problem.values_of(start))
+
+
+def test_a_dead_time_that_a_class_inherits_shifts_as_its_own_does() -> None:
+    readings, switch = switched(40.0, 1.0, rows=480)
+    window = Window(readings, readings, switch, period=PERIOD)
+    shift = shift_of(Room, window)
+    assert shift.all()
+    np.testing.assert_array_equal(shift_of(Annex, window), shift)
+
+
+def test_drives_with_one_dead_time_are_all_delayed_by_it() -> None:
+    """Two heaters that give half of the heat each, and switch together, are one heater."""
+    readings, switch = switched(40.0, 1.0, rows=480)
+    window = Window(readings, readings, switch, period=PERIOD)
+    both = Window(readings, readings, np.stack([switch, switch], 1), period=PERIOD)
+    # rounding alone distinguishes them
+    np.testing.assert_allclose(
+        shift_of(Halves, both)[:4], shift_of(Room, window)[:4], rtol=1e-6, atol=1e-8
+    )
+
+
 def test_in_a_known_loop_nothing_is_shifted() -> None:
     """The twin's own inputs go through the same chain as the loop that was fitted."""
     readings, _ = switched(5.0, 1.0, rows=100)

@@ -25,6 +25,7 @@ TOOLS = Path(sys.executable).parent
         pytest.param(
             ["mypy"], id="types", marks=pytest.mark.long("the types of everything")
         ),
+        pytest.param(["mypy", "src/twinmatch_msgs/setup.py"], id="types of the build"),
         pytest.param(["lint-imports"], id="layers"),
     ],
 )
@@ -53,8 +54,8 @@ NOT_PRIVATE = {"_replace", "_fields", "_asdict", "_exit"}
 """Named like that by the language's library, which documents them."""
 NO_OTHER_WAY = {"_H1"}
 """The heater of the model in the package `tclab`, which can be set nowhere else."""
-WATCHES_NUMBA = "test_compiled.py"
-"""Tests that what `compiled` relies on within numba is still there."""
+WATCHES_NUMBA = "test_numba_insides.py"
+"""Tests that what `numba_insides` relies on within numba is still there."""
 
 
 def private_names(path: Path) -> Iterator[str]:

@@ -10,37 +10,15 @@ tests/launching/test_forking.py tests those.
 
 from __future__ import annotations
 
-import os
-import socket
 import sys
 
-from twinmatch.launching import forking
+from twinmatch.launching import forking, launcher
 
 
 def main() -> None:
     words = sys.argv[1:]
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    server = os.fork()
-    if server == 0:
-        ours.close()
-        os.setsid()
-        words = forking.serve(theirs)
-    else:
-        theirs.close()
-        use_as_first_server(ours, server)
-    if words:
-        forking.run_program(words)
-
-
-def use_as_first_server(connection: socket.socket, process: int) -> None:
-    """Let this process's first fork server be the one at the other end of a connection."""
-    importing_server = forking.begun_server
-
-    def begun_server() -> tuple[socket.socket, forking.Forked]:
-        forking.begun_server = importing_server
-        return connection, forking.Forked(["fork server"], process)
-
-    forking.begun_server = begun_server
+    launcher.fork_server_from_here()
+    forking.run_program(words)
 
 
 if __name__ == "__main__":

@@ -96,7 +96,11 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code: 0 done, 2 an error the user can correct, 130 interrupted."""
+    """Run one command; returns the exit code: 0 done, 2 an error the user can correct, 130 interrupted.
+
+    Args:
+        arguments: the command and its arguments; None: those of this process, which does nothing else.
+    """
     gc.set_threshold(GARBAGE)
     # Python would look for cycles among all objects once more before it ends: a twentieth of a replay's time.
     atexit.register(gc.freeze)
@@ -107,6 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     try:
         options = command_parser().parse_args(arguments)
+        options.is_program = arguments is None
         command: Callable[[argparse.Namespace], int] = options.command
         if (name := command.__module__.rpartition(".")[2]) in _OF_ROS:
             require_ros(name)

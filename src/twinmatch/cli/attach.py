@@ -17,6 +17,7 @@ from twinmatch.cli.shared import (
     session_to_record,
 )
 from twinmatch.cli.starting import remember_recorded
+from twinmatch.launching.launcher import continue_as_launcher
 from twinmatch.launching.processes import (
     EXIT_NOT_RECORDED,
     add_page_options,
@@ -157,6 +158,8 @@ def _run_graph(
     options: argparse.Namespace, given_map: SignalMap, session: Path | None
 ) -> tuple[list[Path], int]:
     require_ros("attach", _INSTEAD)
+    if options.is_program:
+        continue_as_launcher()
     from twinmatch.launching.live import Live, run_live  # noqa: PLC0415
     from twinmatch.launching.plan import attach_plan  # noqa: PLC0415
 

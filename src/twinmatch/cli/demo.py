@@ -9,6 +9,7 @@ from pathlib import Path
 
 from twinmatch.cli.shared import Progress, add_options
 from twinmatch.cli.starting import remember_recorded, started
+from twinmatch.launching.launcher import continue_as_launcher
 from twinmatch.launching.processes import add_page_options, page_of
 from twinmatch.shipped import shipped
 
@@ -40,6 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the demonstration; returns the exit code."""
+    if options.is_program:
+        continue_as_launcher()
     with page_of(options, options.parser) as page:
         if options.session is not None:
             code = _play_session(options.session)

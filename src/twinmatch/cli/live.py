@@ -7,6 +7,7 @@ import argparse
 from twinmatch.cli.shared import add_options, session_to_record
 from twinmatch.cli.starting import remember_recorded
 from twinmatch.launching.forking import fork_server
+from twinmatch.launching.launcher import continue_as_launcher
 from twinmatch.launching.processes import add_page_options, page_of
 from twinmatch.shipped import shipped
 
@@ -59,10 +60,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run until Ctrl-C or the profile's end; returns the exit code: 3 if the rig's process was lost, 1 if the
     session could not be written."""
-    fork_server()  # imports while this process does
-    from twinmatch.launching.live import Live, run_live  # noqa: PLC0415
-    from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
-
     usage = options.parser
     if options.virtual and options.port:
         usage.error("--port is for a real plant; leave it out with --virtual")
@@ -70,6 +67,12 @@ def run(options: argparse.Namespace) -> int:
         options.speed != 1.0 or options.fault or options.board != "auto"
     ):
         usage.error("--speed, --fault and --board need --virtual")
+    if options.is_program:
+        continue_as_launcher()
+    fork_server()  # imports while this process does
+    from twinmatch.launching.live import Live, run_live  # noqa: PLC0415
+    from twinmatch.launching.plan import LivePlan, VirtualPlan  # noqa: PLC0415
+
     rig, twin = CONFIGS[options.plant]
     if options.twin_config is None and twin is not None:
         options.twin_config = shipped(f"config/{twin}")

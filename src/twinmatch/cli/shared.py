@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from twinmatch.errors import EXIT_USER_ERROR, TwinmatchError
+from twinmatch.shipped_code import why_not_used
 
 if TYPE_CHECKING:
     from rich import progress
@@ -300,9 +301,17 @@ class Progress:
     def _compile(self, compiled: str) -> None:
         if not self._compiled:
             self._printed_at -= self.SILENCE  # the next line is due
+            self._remark(why_not_used())
         self._compiled += 1
         doing = f"{self._doing}, compiling {compiled} once on this machine ({self._compiled} so far)"
         self.show(doing, *self._progress)
+
+    def _remark(self, remark: str) -> None:
+        """Show a line that stays."""
+        if remark and self._bar is not None:
+            self._bar.console.print(f"twinmatch: {remark}", markup=False)
+        elif remark:
+            print(f"twinmatch: {remark}", file=sys.stderr, flush=True)
 
     def advance(self, parts_done: int, total: int) -> None:
         """Show that `parts_done` of `total` are done."""

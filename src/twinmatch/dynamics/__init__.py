@@ -71,6 +71,7 @@ from twinmatch.dynamics.simulation import (
 )
 from twinmatch.dynamics.terms import (
     DeadTime,
+    dead_times_of,
     dead_zone,
     dry_friction,
     limited,
@@ -129,6 +130,7 @@ __all__ = [
     "channels",
     "commands_of",
     "controller_state",
+    "dead_times_of",
     "dead_zone",
     "descend",
     "dry_friction",

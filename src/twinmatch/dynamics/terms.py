@@ -309,3 +309,11 @@ class DeadTime:
         return DelayLine(
             tuple(getattr(plant, f"{self.name}_{i}") for i in range(self.order))
         )
+
+
+def dead_times_of(plant: type) -> tuple[DeadTime, ...]:
+    """All dead times of a plant's class: what it inherits first, and what it has replaced only once."""
+    declared: dict[str, object] = {}
+    for kind in reversed(plant.__mro__):
+        declared |= vars(kind)
+    return tuple(part for part in declared.values() if isinstance(part, DeadTime))

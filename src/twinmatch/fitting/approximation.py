@@ -16,7 +16,14 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from twinmatch.dynamics import SKIPPED, DeadTime, Model, Parameters, PlantError
+from twinmatch.dynamics import (
+    SKIPPED,
+    DeadTime,
+    Model,
+    Parameters,
+    PlantError,
+    dead_times_of,
+)
 from twinmatch.dynamics.equations import written_equations
 from twinmatch.fitting.problem import Problem
 from twinmatch.signals import FloatArray, Window
@@ -57,11 +64,13 @@ def shift_by_dead_times(problem: Problem, values: FloatArray) -> FloatArray:
     shift = np.zeros(values.size)
     if problem.law is not None:
         return shift
-    exact = problem.experiment.parameters_at(values)
+    approximate = problem.experiment.parameters_at(values)
+    exact = approximate
     window = problem.window
     starts = problem.experiment.starts_at(values)
     for delayed_drive in _delayed_drives(problem.base.model):
-        dead_time = exact[delayed_drive.dead_time] / window.period
+        # of several drives that act after one dead time each is delayed by all of it
+        dead_time = approximate[delayed_drive.dead_time] / window.period
         whole = math.floor(dead_time - _LEAST_LEFT)
         if whole < 1:
             continue
@@ -151,9 +160,9 @@ def _delayed_drives(model: Model) -> tuple[_DelayedDrive, ...]:
     if model.is_external:
         return ()
     chains = [
-        part
-        for part in vars(plant).values()
-        if isinstance(part, DeadTime) and _mean_of(part) in model.states
+        dead_time
+        for dead_time in dead_times_of(plant)
+        if _mean_of(dead_time) in model.states
     ]
     if not chains:
         # written equations need SymPy, whose import takes as long as a match

@@ -26,6 +26,7 @@ from twinmatch.dynamics import (
     Parameter,
     Parameters,
     State,
+    dead_times_of,
     dry_friction,
 )
 from twinmatch.dynamics.equations import outputs_of, written_equations
@@ -256,7 +257,7 @@ def _effects(model: Model, period: float) -> Iterator[tuple[_Effect, dict[str, A
     slow = time_constant(plant) or _UNKNOWN * period
     written = written_equations(plant(), model.structure.parts)
     shown = list(outputs_of(plant(), written).values())
-    has_dead_time = any(isinstance(part, DeadTime) for part in vars(plant).values())
+    has_dead_time = bool(dead_times_of(plant))
     for drive in plant.drives.values():
         for effect in _OF_A_DRIVE[has_dead_time:]:  # the first is a dead time
             yield effect, _words_at(drive, slow, period)
@@ -342,7 +343,7 @@ def _with_effect(model: Model, effect: _Effect, words: dict[str, Any]) -> Model:
     structure = model.structure
     declared: dict[str, Any] = {}
     exec(effect.declared, dict(_NAMES), declared)  # noqa: S102
-    taken_names = declared.keys() & vars(plant).keys()
+    taken_names = [name for name in declared if hasattr(plant, name)]
     if taken_names:
         raise TwinmatchError(
             f"plant {plant.name}: it has {', '.join(taken_names)} already"

@@ -24,7 +24,6 @@ import time
 import warnings
 from collections.abc import Mapping
 from enum import IntEnum
-from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import TracebackType
@@ -57,10 +56,14 @@ _POLL: Final = 0.01
 """Interval between two looks at a child that is waited for, s."""
 _MOMENT: Final = 0.0005
 """Interval between two looks at who the parent is, s."""
-_ONE_THREAD: Final = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
-)
-"""The matrices are small, and a process with threads cannot be forked safely."""
+ENVIRONMENT: Final = {
+    **dict.fromkeys(
+        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+    ),
+    "PYTHONUNBUFFERED": "1",
+}
+"""Variables of a process that programs are forked from. The matrices are small, and a process with threads
+cannot be forked safely. Unbuffered, a program's lines arrive when they are written."""
 _LIBC: Final = ctypes.CDLL(None, use_errno=True)
 
 
@@ -70,6 +73,11 @@ class _Prctl(IntEnum):
     DEATH_SIGNAL_OF_PARENT = 1
     NAME = 15
     CHILD_SUBREAPER = 36
+
+
+def name_process(name: str) -> None:
+    """Name this process as `ps -o comm` shows it, by its first 15 bytes."""
+    _LIBC.prctl(_Prctl.NAME, name.encode()[:15])
 
 
 class Forked:
@@ -119,8 +127,7 @@ def begun_server() -> tuple[socket.socket, Forked | subprocess.Popen[bytes]]:
         process = subprocess.Popen(
             [sys.executable, "-m", __name__, str(theirs.fileno())],
             stdin=subprocess.DEVNULL,
-            # Unbuffered, so that a program's lines arrive when they are written.
-            env={**os.environ, **_ONE_THREAD, "PYTHONUNBUFFERED": "1"},
+            env={**os.environ, **ENVIRONMENT},
             pass_fds=[theirs.fileno()],
             start_new_session=True,
         )
@@ -130,10 +137,17 @@ def begun_server() -> tuple[socket.socket, Forked | subprocess.Popen[bytes]]:
 class ForkServer:
     """A process that forks programs for this one."""
 
-    def __init__(self) -> None:
-        """Start it; it imports while this process continues, and ends with it."""
+    def __init__(
+        self,
+        begun: tuple[socket.socket, Forked | subprocess.Popen[bytes]] | None = None,
+    ) -> None:
+        """Start it; it imports while this process continues, and ends with it.
+
+        Args:
+            begun: our end of the connection with one that was started already, and its process.
+        """
         self._asking = threading.Lock()
-        self._socket, self._process = begun_server()
+        self._socket, self._process = begun or begun_server()
 
     @property
     def pid(self) -> int:
@@ -185,12 +199,26 @@ class ForkServer:
         self._process.wait()
 
 
-@cache
+_servers: Final[list[ForkServer]] = []
+"""The fork server of this process, once it has one."""
+
+
 def fork_server() -> ForkServer:
     """The fork server of this process; it starts to import when this is first called."""
-    server = ForkServer()
+    if not _servers:
+        use_fork_server(ForkServer())
+    return _servers[0]
+
+
+def has_fork_server() -> bool:
+    """Whether this process has a fork server already."""
+    return bool(_servers)
+
+
+def use_fork_server(server: ForkServer) -> None:
+    """Let this be the fork server of this process, until it ends."""
+    _servers.append(server)
     atexit.register(server.close)
-    return server
 
 
 def serve(connection: socket.socket) -> list[str]:
@@ -239,7 +267,7 @@ def _prepare(
     os.environ.update(environment)
     os.chdir(folder)
     name = words[2] if words[0] == "-m" and len(words) > 2 else words[0]
-    _LIBC.prctl(_Prctl.NAME, Path(name).name.encode()[:15])
+    name_process(Path(name).name)
     return words
 
 
@@ -251,10 +279,8 @@ def _show(
         sys.__excepthook__(kind, error, trace)
 
 
-def main() -> None:
-    """The fork server, and each program that it forks."""
-    if problem():  # which the launcher tells
-        return
+def import_for_programs() -> None:
+    """Import what programs need, and do what each of them would do first."""
     for name in IMPORTED:
         import_module(name)
     from twinmatch.compiled import start_runtime  # noqa: PLC0415
@@ -267,8 +293,20 @@ def main() -> None:
     )
     gc.collect()
     gc.freeze()  # what is shared stays shared
+
+
+def main() -> None:
+    """The fork server, and each program that it forks."""
+    if problem():  # which the launcher tells
+        return
+    import_for_programs()
+    serve_and_run(socket.socket(fileno=int(sys.argv[1])))
+
+
+def serve_and_run(connection: socket.socket) -> None:
+    """Fork for the process at the other end of a connection, and in each new process run its program."""
     sys.excepthook = _show
-    words = serve(socket.socket(fileno=int(sys.argv[1])))
+    words = serve(connection)
     if words:
         run_program(words)
 

@@ -21,6 +21,7 @@ from twinmatch.comparing import CandidateScore, TrustLevel, Verdict, statements_
 from twinmatch.compiled import told
 from twinmatch.offline.summary import nominal_score
 from twinmatch.settings import Rule
+from twinmatch.shipped_code import why_not_used
 from twinmatch.showing.console import Console
 from twinmatch.showing.family import (
     FamilyTable,
@@ -96,6 +97,7 @@ class Screen:
         self._next = 0.0  # when to draw again
         self._over = False
         self._compiled = ""
+        self._has_compiled = False
         self._live = Live(
             self,
             console=console,
@@ -153,6 +155,10 @@ class Screen:
         self._console.print(Text(text, style=style))
 
     def _compile(self, kernel: str) -> None:
+        remark = "" if self._has_compiled else why_not_used()
+        self._has_compiled = True
+        if remark:
+            self.say(f"twinmatch: {remark}")
         self._compiled = kernel
         self._draw()
 
