@@ -537,7 +537,9 @@ class ChannelMonitor:
             return True
         if fault in _OF_A_DRIVE and not self.competition.was_asked(best):
             return True
-        return self._is_beside_a_lie(best) and best.evidence < _NAMING.more
+        is_new_room = is_new and fault is Fault.ROOM_CHANGED
+        needs_more = is_new_room or self._is_beside_a_lie(best)
+        return needs_more and best.evidence < _NAMING.more
 
     def _is_beside_a_lie(self, suspect: Suspect) -> bool:
         """Whether another sensor than the one it concerns is known to lie."""
