@@ -116,7 +116,12 @@ class ChangeTraces(NamedTuple):
     """Error of the member's mean for a change of one, shape (L·R·S, N)."""
     mean: FloatArray
     variance: FloatArray
-    """Of the size of the change."""
+    """Of the size of the change as it is now."""
+    lasting_mean: FloatArray
+    lasting_variance: FloatArray
+    """Of the size that it wanders about."""
+    covariance: FloatArray
+    """Of the two sizes."""
     now: FloatArray
     """Log-probability of the readings of this sample."""
     score: FloatArray
@@ -127,13 +132,17 @@ class ChangeTraces(NamedTuple):
     """Logarithm of the weight of its level when it began."""
     usual: FloatArray
     """What the inputs that its number follows amounted to when it began."""
+    way: FloatArray
+    """By how much its number changes, for a size of one."""
+    bends: FloatArray
+    """By how much, as a share of what it was, the parameter changes by which the plant settles, for a size of one."""
 
 
 def unborn(count: int, size: int) -> ChangeTraces:
     """Room for so many onsets, of filters of so many numbers."""
     born = np.full(count, -1, dtype=np.int64)
     trace = np.zeros((count, size))
-    return ChangeTraces(born, trace, *(np.zeros(count) for _ in range(7)))
+    return ChangeTraces(born, trace, *(np.zeros(count) for _ in range(12)))
 
 
 class ChangeRows(NamedTuple):
@@ -148,7 +157,9 @@ class ChangeRows(NamedTuple):
     rate: FloatArray
     """By how much a ramp rises in a sample; 0: it jumps."""
     wanders: FloatArray
-    """Variance that a sample adds to the size, as a share of its square."""
+    """Variance that a sample adds to the size, as a share of the square of the size that it wanders about."""
+    returns: float
+    """Share of its distance from that size that a sample leaves."""
     diffusion: FloatArray
     """The same in its unit …"""
     lasting: Any
@@ -252,8 +263,14 @@ def _correct_traces(  # noqa: PLR0917
             fixed, r, i, off - a * mean, expected + a * a * variance
         )
         traces.now[t] += shift
+        shared = traces.covariance[t]
         traces.mean[t] = mean + variance * a * moves
+        traces.lasting_mean[t] += shared * a * moves
         traces.variance[t] = max(variance - goes * (variance * a) ** 2, 0.0)
+        traces.covariance[t] = shared - goes * variance * shared * a * a
+        traces.lasting_variance[t] = max(
+            traces.lasting_variance[t] - goes * (shared * a) ** 2, 0.0
+        )
         for j in range(slope.size):
             trace[j] -= lost[j] * a
 
@@ -349,6 +366,25 @@ def _bend(
 
 
 @compiled(inside=True)
+def _wander(traces: ChangeTraces, rows: ChangeRows, r: int, t: int) -> None:
+    """Move the size of a change of row r on to the next sample: it wanders about the size that lasts, and
+    returns to it."""
+    stays = rows.returns
+    comes = 1.0 - stays
+    lasting = traces.lasting_mean[t]
+    lasting_variance = traces.lasting_variance[t]
+    covariance = traces.covariance[t]
+    traces.mean[t] = stays * traces.mean[t] + comes * lasting
+    traces.variance[t] = (
+        stays * stays * traces.variance[t]
+        + 2.0 * stays * comes * covariance
+        + comes * comes * lasting_variance
+        + rows.wanders[r] * lasting**2
+    )
+    traces.covariance[t] = stays * covariance + comes * lasting_variance
+
+
+@compiled(inside=True)
 def _carry_traces(  # noqa: PLR0917
     fixed: BankConstants,
     traces: ChangeTraces,
@@ -376,7 +412,7 @@ def _carry_traces(  # noqa: PLR0917
             for k in range(size):
                 new[j] += moved[j, k] * trace[k]
         if rows.relative[r] >= 0:
-            shift = max(traces.mean[t], LEAST_SHARE)
+            shift = max(traces.mean[t] * traces.bends[t], LEAST_SHARE)
             _bend(changed[rows.relative[r]], moved, shift, trace, new)
         for j in range(n):
             trace[j] = new[j]
@@ -386,9 +422,11 @@ def _carry_traces(  # noqa: PLR0917
         for a in range(rows.also.shape[1]):
             if rows.also[r, a] >= 0:
                 trace[rows.also[r, a]] += rows.rate[r]
-        traces.variance[t] += rows.wanders[r] * traces.mean[t] ** 2
+        _wander(traces, rows, r, t)
         if now - traces.born[t] < rows.lasting[r]:
             traces.variance[t] += rows.diffusion[r]
+            traces.lasting_variance[t] += rows.diffusion[r]
+            traces.covariance[t] += rows.diffusion[r]
 
 
 @compiled(inside=True)
@@ -684,11 +722,16 @@ def spawn(  # noqa: PLR0917
                 -1.0 - at[b, rows.number[r]] if rows.whole[r] else rows.shift[r]
             )
             traces.variance[t] = rows.spread[r] ** 2
+            traces.lasting_mean[t] = traces.mean[t]
+            traces.lasting_variance[t] = traces.variance[t]
+            traces.covariance[t] = traces.variance[t]
             traces.now[t] = 0.0
             traces.score[t] = 0.0
             traces.mass[t] = rows.mass[r]
             traces.weight[t] = weights[b]
             traces.usual[t] = _followed(rows, r, usual)
+            traces.way[t] = 1.0
+            traces.bends[t] = 1.0
 
 
 @compiled

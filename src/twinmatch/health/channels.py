@@ -10,8 +10,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.health.evidence import Competition, Suspect
+from twinmatch.health.evidence import Competition, ExpectedEnd, Suspect
 from twinmatch.health.faults import (
+    EVERY,
     HOUR,
     SLOW,
     TRAITS,
@@ -28,7 +29,7 @@ from twinmatch.health.hypotheses import MORE, ChangeRow
 from twinmatch.health.reading_through import ReadThrough
 from twinmatch.health.sentences import FaultSentences
 from twinmatch.settings import Rule
-from twinmatch.signals import Sample
+from twinmatch.signals import FloatArray, Sample
 
 CHANGE: Final = 3.0
 """Evidence from which a change is reported, nats."""
@@ -115,21 +116,19 @@ class _NamedChange(NamedTuple):
 
     fault: Fault
     row: ChangeRow
-    shift: float
-    """Its size, as its row has it."""
+    before: FloatArray
+    """What was believed of the plant before it."""
 
-    @property
-    def way_back(self) -> ChangeRow:
-        """The change that undoes it."""
-        shift = self.row.undoing(self.shift)
-        return replace(
-            self.row,
-            shift=shift,
-            spread=0.2 * abs(shift),
-            lasting=0.0,
-            slowly=0.0,
-            price=-2.0,
-        )
+
+def _is_of_sensor(row: ChangeRow) -> bool:
+    return row.cause[0] is Fault.SENSOR_DRIFT
+
+
+def _end_plant(*suspects: Suspect) -> bool:
+    """Whether all of them say that the plant is again as it was before a change."""
+    return all(
+        suspect.row.is_end and not _is_of_sensor(suspect.row) for suspect in suspects
+    )
 
 
 class ChannelMonitor:
@@ -312,8 +311,9 @@ class ChannelMonitor:
             output: self.competition.sensors[output].jump.size for output in outputs
         }
         rows = {output: self._row_of_jump(output) for output in outputs}
-        self.competition.adopt_jumps(outputs)
+        before = self.competition.believed_before(self.competition.count)
         returned = [named for named in self._jumped if self._is_back(named, jumps)]
+        self.competition.adopt_jumps(outputs)
         for named in returned:
             self._standing.remove(named)
         if returned:
@@ -325,7 +325,7 @@ class ChannelMonitor:
                 self._close()
             return
         self._standing += [
-            _NamedChange(Fault.DRIFT, rows[output], jumps[output]) for output in outputs
+            _NamedChange(Fault.DRIFT, rows[output], before) for output in outputs
         ]
         self._raise_jumps(outputs)
         self._expect_back()
@@ -343,10 +343,10 @@ class ChannelMonitor:
             if row.cause == cause and not row.slowly
         )
 
-    @staticmethod
-    def _is_back(named: _NamedChange, jumps: dict[int, float]) -> bool:
+    def _is_back(self, named: _NamedChange, jumps: dict[int, float]) -> bool:
         jump = jumps.get(named.row.cause[1], 0.0)
-        return abs(named.shift + jump) <= _ENDING.remainder * abs(named.shift)
+        shift = self.competition.change_since(named.row, named.before)
+        return abs(shift + jump) <= _ENDING.remainder * abs(shift)
 
     def _raise_jumps(self, outputs: list[int]) -> None:
         if self.on is not None:
@@ -385,26 +385,19 @@ class ChannelMonitor:
         What a drive explained when it was followed as a lost one says nothing for a weak one, which has rows of
         its own.
         """
-        evidence_of_weak = {
-            suspect.cause[1]: suspect.evidence
-            for suspect in suspects
-            if suspect.cause[0] is Fault.DRIVE_WEAK
-        }
         called = []
         for suspect in suspects:
             named = self._lost_or_weak(suspect)
-            fault, drive = named.cause
-            if fault is Fault.DRIVE_WEAK and suspect.cause[0] is Fault.DRIVE_LOST:
-                most = evidence_of_weak.get(drive, -math.inf)
-                named = replace(named, evidence=min(named.evidence, most))
-            called.append(named)
-        return sorted(called, key=lambda suspect: -suspect.evidence)
+            was_lost = suspect.cause[0] is Fault.DRIVE_LOST
+            if not (was_lost and named.cause[0] is Fault.DRIVE_WEAK):
+                called.append(named)
+        return called
 
     def _lost_or_weak(self, suspect: Suspect) -> Suspect:
         """The suspect; a drive is lost if certainly nearly nothing is left of its effect, and weak if more may
         be, whatever it was followed as."""
         fault, drive = suspect.cause
-        if fault not in _OF_A_DRIVE:
+        if fault not in _OF_A_DRIVE or suspect.row.is_end:
             return suspect
         share = suspect.shift + self.competition.believed(suspect.row.number)
         is_lost = share + _NAMING.certain * suspect.error <= _LOST_FROM
@@ -479,7 +472,7 @@ class ChannelMonitor:
             return
         self._unnamed += 1
         if self._is_unnamed_for_good(best):
-            self._standing.append(_NamedChange(best.cause[0], best.row, best.shift))
+            self._note_change(best.cause[0], best)
             self._adopt(best)
             self._close()
             return
@@ -518,14 +511,12 @@ class ChannelMonitor:
         """
         if self._lacks_proof(best):
             return False
-        undone = next(
-            (named for named in self._standing if self._undoes(best, named)), None
-        )
-        if undone is not None:
-            self._standing.remove(undone)
-            if self.on is not None and self.on.fault is undone.fault:
-                self._close()
+        undone = self._undone_by(best)
+        if undone:
+            self._end(undone)
             self._adopt(best)
+            return False
+        if best.row.is_end:
             return False
         young = self._is_young(best)
         if best.cause[0] in _LEARNED_FIRST and self.competition.rough:
@@ -541,11 +532,14 @@ class ChannelMonitor:
     def _lacks_proof(self, best: Suspect) -> bool:
         """Whether something else than its rivals may explain the samples as well."""
         fault = best.cause[0]
-        if fault is Fault.DRIVE_WEAK and self._is_open(best):
+        is_new = not best.row.is_end
+        if is_new and fault is Fault.DRIVE_WEAK and self._is_open(best):
             return True
         if fault in _OF_A_DRIVE and not self.competition.was_asked(best):
             return True
-        return self._is_beside_a_lie(best) and best.evidence < _NAMING.more
+        is_new_room = is_new and fault is Fault.ROOM_CHANGED
+        needs_more = is_new_room or self._is_beside_a_lie(best)
+        return needs_more and best.evidence < _NAMING.more
 
     def _is_beside_a_lie(self, suspect: Suspect) -> bool:
         """Whether another sensor than the one it concerns is known to lie."""
@@ -560,8 +554,10 @@ class ChannelMonitor:
 
     def _is_open(self, drive: Suspect) -> bool:
         """Whether a weak drive may still be a lost one, or one that does more an exchange that the equations
-        lack."""
-        lacks_evidence = self._does_more(drive) and drive.evidence < _NAMING.more
+        lack; or what all of them share be what the equations lack of the plant."""
+        is_of_all = drive.cause[1] == EVERY
+        needs_more = self._does_more(drive) or is_of_all
+        lacks_evidence = needs_more and drive.evidence < _NAMING.more
         return lacks_evidence or self._age(drive) < _NAMING.sized
 
     def _began_known(self, best: Suspect) -> bool:
@@ -616,6 +612,8 @@ class ChannelMonitor:
         Two faults of one number need not be told apart, as a lost drive is weak, too; but a weak drive is not
         named while it may be a lost one.
         """
+        if _end_plant(suspect, best):
+            return False
         may_be_lost = (
             best.cause[0] is Fault.DRIVE_WEAK and suspect.cause[0] is Fault.DRIVE_LOST
         )
@@ -625,13 +623,42 @@ class ChannelMonitor:
         )
         return may_be_lost or not is_same
 
-    @staticmethod
-    def _undoes(suspect: Suspect, named: _NamedChange) -> bool:
+    def _undone_by(self, suspect: Suspect) -> list[_NamedChange]:
+        """The named changes that a suspect undoes: one whose number it brings nearly back to what it was before,
+        and those that the plant has had since, as all is then as it was before the first of them."""
+        for place, named in enumerate(self._standing):
+            if self._undoes(suspect, named):
+                if _is_of_sensor(named.row):
+                    return [named]
+                since = self._standing[place:]
+                return [later for later in since if not _is_of_sensor(later.row)]
+        return []
+
+    def _undoes(self, suspect: Suspect, named: _NamedChange) -> bool:
         """Whether a suspect brings the number of a named change nearly back to what it was before."""
         if (named.row.number, named.row.also) != (suspect.row.number, suspect.row.also):
             return False
-        remaining = abs(suspect.row.remaining(named.shift, suspect.shift))
-        return remaining <= max(_ENDING.remainder * abs(named.shift), suspect.row.least)
+        if suspect.row.is_end:
+            return suspect.returned >= 1.0 - _ENDING.remainder
+        shift = self.competition.change_since(named.row, named.before)
+        remaining = abs(named.row.remaining(shift, suspect.shift))
+        return remaining <= max(_ENDING.remainder * abs(shift), suspect.row.least)
+
+    def _end(self, undone: list[_NamedChange]) -> None:
+        """Named changes no longer stand, and no alarm of them is on."""
+        self._standing = [
+            named
+            for named in self._standing
+            if not any(named is other for other in undone)
+        ]
+        faults = {named.fault for named in undone}
+        if self.on is not None and self.on.fault in faults:
+            self._close()
+
+    def _note_change(self, fault: Fault, best: Suspect) -> None:
+        """Note that a change stands from now on, and what was believed before it."""
+        before = self.competition.believed_before(best.born)
+        self._standing.append(_NamedChange(fault, best.row, before))
 
     def _name(self, best: Suspect, suspects: list[Suspect]) -> None:
         fault, signal = best.cause
@@ -648,7 +675,7 @@ class ChannelMonitor:
         if on is None or (on.fault, on.suspects[0].cause[1]) != (fault, signal):
             self._raise(fault, best, suspects)
         if fault is not Fault.DISTURBANCE:
-            self._standing.append(_NamedChange(fault, best.row, best.shift))
+            self._note_change(fault, best)
         self._adopt(best)
         if fault is Fault.SENSOR_DRIFT:
             self._read_through(signal, best.born)
@@ -662,7 +689,9 @@ class ChannelMonitor:
 
     def _expect_back(self) -> None:
         """Have every named change compete that may be undone."""
-        self.competition.expect_back([named.way_back for named in self._standing])
+        self.competition.expect_back(
+            [ExpectedEnd(named.row, named.before) for named in self._standing]
+        )
 
     def _raise(self, fault: Fault, best: Suspect, suspects: list[Suspect]) -> None:
         if self.on is not None:

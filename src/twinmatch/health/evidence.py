@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -81,6 +81,46 @@ class Suspect:
     """Sample at which it began, counted from the last gap."""
     hypothesis: int
     """Its place among the traces; −1: it has none."""
+    returned: float = 0.0
+    """Of the end of a change, the share of the way back that is gone."""
+
+
+class ExpectedEnd(NamedTuple):
+    """The end of a change that was named."""
+
+    row: ChangeRow
+    """What it ends."""
+    before: FloatArray
+    """What was believed before that change, shape (N,)."""
+
+
+class _Ends(Rule):
+    """How changes end that were named."""
+
+    lasts: float = 600.0
+    """Time after which one ends, s. Of causes that have not begun, one begins in an hour."""
+    spread: float = 0.2
+    """Standard deviation of the share of the way back that is gone."""
+    earlier: float = 30.0
+    """Time before its onset at which the plant is taken to have been as before, s: a change is often said to have
+    begun some seconds late, when it has been learned in part."""
+    returns: float = 30.0
+    """Time within which the size of a change returns to the one that lasts, s."""
+
+
+_ENDS: Final = _Ends()
+
+
+def _row_of_end(row: ChangeRow) -> ChangeRow:
+    """The row of the end of a change."""
+    return replace(
+        row, shift=1.0, spread=_ENDS.spread, lasting=0.0, slowly=0.0, is_end=True
+    )
+
+
+def _is_of_plant(row: ChangeRow) -> bool:
+    """Whether it changes the plant, and not a sensor."""
+    return row.cause[0] is not Fault.SENSOR_DRIFT
 
 
 class Competition:
@@ -113,6 +153,11 @@ class Competition:
         """Start over after a gap, keeping what was learned about the plant."""
         self.count = 0
         """Samples since the last gap."""
+        remembered = (_FOLLOWING.reach + _ENDS.earlier) * self.second
+        self._beliefs = deque[FloatArray](
+            maxlen=math.ceil(remembered / self._between_onsets) + 1
+        )
+        """What was believed when changes began to be followed, the newest last."""
         self._commands = deque[FloatArray](
             maxlen=round(_FOLLOWING.reach * self.second) + self.healthy.latest
         )
@@ -128,9 +173,10 @@ class Competition:
         self._traces.born[:] = -1
         self._totals[:] = -np.inf
 
-    def expect_back(self, back: list[ChangeRow]) -> None:
-        """Make the table of changes, with what may be undone, and room for their traces."""
-        self.rows = [*self._usual, *back]
+    def expect_back(self, ends: list[ExpectedEnd]) -> None:
+        """Make the table of changes, with those that may end, and room for their traces."""
+        self._ends = ends
+        self.rows = [*self._usual, *(_row_of_end(end.row) for end in ends)]
         healthy = self.healthy
         self._traces = unborn(
             healthy.levels * len(self.rows) * _FOLLOWING.slots, len(healthy.numbers)
@@ -162,13 +208,15 @@ class Competition:
         )
         comes_at_once = lasting <= 0
         wanders = np.array([row.wanders for row in rows])
+        stays = math.exp(-period / (_ENDS.returns * scale))
         spread = np.array([row.spread for row in rows])
         return ChangeRows(
             number=np.array(numbers, dtype=np.int64),
             also=also,
             cause=np.array(explanations, dtype=np.int64),
             rate=np.array(rates),
-            wanders=wanders**2 * 2.0 * period / (30.0 * scale),
+            wanders=wanders**2 * (1.0 - stays**2),
+            returns=stays,
             diffusion=np.where(
                 comes_at_once, 0.0, 0.5 * spread**2 / np.maximum(lasting, 1)
             ),
@@ -182,13 +230,20 @@ class Competition:
             crosses=np.array([row.crosses for row in rows]),
             follows=follows,
             relative=np.array(
-                [
-                    numbers.index(number) if row.is_relative else -1
-                    for row, number in zip(rows, numbers, strict=True)
-                ],
+                [self._row_of_same_parameter(row) for row in rows],
                 dtype=np.int64,
             ),
         )
+
+    def _row_of_same_parameter(self, row: ChangeRow) -> int:
+        """Place of the first row of the parameter that changes by a share of what it was, in a row or at its
+        end; −1 if there is none."""
+        is_end_of_plant = row.is_end and _is_of_plant(row)
+        for place, other in enumerate(self._usual):
+            is_same = other.number == row.number and row.is_relative
+            if other.is_relative and (is_same or is_end_of_plant):
+                return place
+        return -1
 
     def _masses(self, rows: list[ChangeRow]) -> list[float]:
         """Prior probabilities that a row begins now: in an hour one cause does, in one of its rows."""
@@ -199,13 +254,18 @@ class Competition:
             for explanation in self._explanations
         }
         return [
-            math.exp(-row.price) / weights[row.explanation] / onsets for row in rows
+            EVERY / _ENDS.lasts
+            if row.is_end
+            else math.exp(-row.price) / weights[row.explanation] / onsets
+            for row in rows
         ]
 
     def _weight_of(self, explanation: Explanation) -> float:
         """Sum of the weights of an explanation's rows, which share its probability."""
         return sum(
-            math.exp(-row.price) for row in self.rows if row.explanation == explanation
+            math.exp(-row.price)
+            for row in self._usual
+            if row.explanation == explanation
         )
 
     def push(self, sample: Sample, values: FloatArray, counts: BoolArray) -> None:
@@ -214,7 +274,7 @@ class Competition:
         table = self.table
         traces = self._traces
         reach = round(_FOLLOWING.reach * self.second)
-        if self.count and self.count % max(1, round(EVERY * self.second)) == 0:
+        if self.count and self.count % self._between_onsets == 0:
             self._begin_traces(reach)
         row = self._model.disturbance_row(sample.disturbances or None)
         u = np.array(sample.inputs)
@@ -312,6 +372,59 @@ class Competition:
             reach,
             self.count,
         )
+        self._beliefs.append(healthy.members.at[healthy.best].copy())
+        for place, end in enumerate(self._ends):
+            self._aim(end, len(self._usual) + place)
+
+    @property
+    def _between_onsets(self) -> int:
+        """Number of samples between two onsets."""
+        return max(1, round(EVERY * self.second))
+
+    def _aim(self, end: ExpectedEnd, place: int) -> None:
+        """Have the onsets of an end that begin now lead back to what was believed before; `place` is that of its
+        row."""
+        healthy = self.healthy
+        for level in range(healthy.levels):
+            begin = (level * len(self.rows) + place) * _FOLLOWING.slots
+            begins_now = self._traces.born[begin : begin + _FOLLOWING.slots]
+            for slot in np.flatnonzero(begins_now == self.count).tolist():
+                way = healthy.way_back(level, end.before)
+                self._aim_trace(begin + slot, np.where(self._moves(end.row), way, 0.0))
+
+    def _aim_trace(self, trace: int, way: FloatArray) -> None:
+        """Have an onset that begins now change all numbers on the way back, shape (N,)."""
+        row = trace // _FOLLOWING.slots % len(self.rows)
+        self._traces.trace[trace] = way
+        self._traces.way[trace] = way[self.table.number[row]]
+        relative = self.table.relative[row]
+        if relative >= 0:
+            self._traces.bends[trace] = way[self.table.number[relative]]
+
+    def _moves(self, row: ChangeRow) -> BoolArray:
+        """Which numbers of a belief a change has moved, shape (N,): those of the plant, as what a name does not
+        explain is learned as others of them; or the offset of one sensor."""
+        if _is_of_plant(row):
+            return self.healthy.of_plant
+        is_number = np.zeros(len(self.healthy.numbers), dtype=bool)
+        is_number[self.healthy.numbers[row.number]] = True
+        return is_number
+
+    def believed_before(self, born: int) -> FloatArray:
+        """What was believed before a change that began at a sample, shape (N,)."""
+        if not self._beliefs:
+            return np.array(self.healthy.members.at[self.healthy.best])
+        since = self.count - born + _ENDS.earlier * self.second
+        newest = len(self._beliefs) - 1
+        back = math.ceil(since / self._between_onsets)
+        return self._beliefs[max(newest - back, 0)]
+
+    def change_since(self, row: ChangeRow, before: FloatArray) -> float:
+        """How far the number of a row is now from what was believed before."""
+        healthy = self.healthy
+        number = healthy.numbers[row.number]
+        change = float(healthy.members.at[healthy.best, number] - before[number])
+        return math.expm1(change) if row.is_relative else change
 
     def _rehearse(self, reading: Reading, variance: FloatArray) -> None:
         """Read through each sensor that is right, to know what such an estimate is worth."""
@@ -362,8 +475,10 @@ class Competition:
                 if slowly
                 else 1.0
             )
-            shift = float(self._traces.mean[trace])
-            error = math.sqrt(self._traces.variance[trace])
+            size = float(self._traces.mean[trace])
+            way = float(self._traces.way[trace])
+            shift = size * way
+            error = math.sqrt(self._traces.variance[trace]) * abs(way)
             evidence = float(self._totals[place]) - price_of_hour
             evidence -= row.cost_of_impossible(shift, error, self.believed(row.number))
             suspects.append(
@@ -375,6 +490,7 @@ class Competition:
                     error * share,
                     born,
                     trace,
+                    size if row.is_end else 0.0,
                 )
             )
         for i, sensor in enumerate(self.sensors):
@@ -511,7 +627,12 @@ class Competition:
         """What a change adds to a belief, and the derivative of that by its size."""
         change = shift * trace
         by_size = trace.copy()
-        if row.is_relative:
+        if row.is_end:
+            logged = self.healthy.logged
+            factors = 1.0 + np.maximum(change[logged], LEAST_SHARE)
+            change[logged] = np.log(factors)
+            by_size[logged] /= factors
+        elif row.is_relative:
             number = self.healthy.numbers[row.number]
             factor = 1.0 + max(shift, LEAST_SHARE)
             change[number] = math.log(factor) * trace[number]

@@ -20,15 +20,26 @@ the drive that something unknown acts like; `EVERY` for all drives at once."""
 
 RARE: Final = 2.5
 """Price of what comes evenly over minutes, nats."""
+LESS: Final = 0.15
+"""Least share by which a drive does less than before: the share of a movement by which equations are wrong."""
 MORE: Final = 0.4
 """Least share by which a drive does more than before: below, what the equations say of the exchange between
 two loops is as likely to be wrong."""
-CREEPS: Final = 5.0
+CREEP: Final = 10.0
+"""Expected size (1 σ) of what creeps within five minutes, in noises of the sensor: a degree of a kit, which is a
+hundred times faster than sensors age."""
+CREEPS: Final = 6.0
 """Price of a sensor whose reading creeps away within minutes, nats: sensors age over days, and a jump is a
 loose contact; what creeps within minutes is nearly always the plant."""
+GROWS: Final = 5.0
+"""Price of a supply that gives more than before, nats: a supply sags; where it rises by a tenth, all heaters do by a
+fifth."""
 CROSSES: Final = 0.2
 """Share of what the other drives do that may cross in another way than the equations say, 1 σ: half of what
 crosses in a kit whose heaters differ by a factor of two."""
+MIXED: Final = 0.25
+"""By how much a change wanders that is mixed with what the equations lack, as a share: the effect of one of several
+drives, as a fifth of what the others do may cross in another way, and a reading that creeps."""
 UNKNOWN: Final = 2.0
 """Price of something unknown that acts as a drive does, nats."""
 
@@ -61,13 +72,16 @@ class ChangeRow:
     """Time within which half of the change still arrives after its onset; 0: all of it at the onset."""
     price: float = 0.0
     """Nats that this row costs beyond those of its cause and its onset."""
-    wanders: float = 0.25
-    """By how much its size may wander within 30 s, as a share: no change has exactly the shape of its row."""
+    wanders: float = 0.1
+    """By how much its size may wander about the one that lasts, as a share (1 σ): no change has exactly the shape of
+    its row. It returns within 30 s."""
     is_relative: bool = False
     """Whether sizes are shares of what the number was, because it is tracked by its logarithm. To first order
     what a change does to the plant is in proportion to that share."""
     also: tuple[str, ...] = ()
     """Other numbers that change by the same."""
+    is_end: bool = False
+    """Whether it is the end of a change that was named; sizes are shares of the way back to what was before."""
     follows: tuple[float, ...] = ()
     """By how much the number follows each drive from its usual value, for a size of one; empty if it stays
     as it has changed."""
@@ -82,10 +96,6 @@ class ChangeRow:
         """What it stands for."""
         return Explanation(self.cause, self.crosses)
 
-    def undoing(self, shift: float) -> float:
-        """The size of the change that undoes one of this size."""
-        return -shift / (1.0 + shift) if self.is_relative else -shift
-
     def cost_of_impossible(self, shift: float, error: float, believed: float) -> float:
         """What it costs a change of this size, ± `error`, that nothing acts less than not at all, nats; `believed`
         is the value of the number before it.
@@ -93,6 +103,8 @@ class ChangeRow:
         With a prior that ends there, the evidence of a change is less by the part of its distribution that lies
         beyond, beside the part of the prior that does.
         """
+        if self.is_end:
+            return 0.0
         if self.is_relative:
             least = -1.0
         elif self.number.startswith("share"):
@@ -149,7 +161,7 @@ def _rows_of_room(place: int, name: str, scale: float) -> Iterator[ChangeRow]:
     spread = 0.8 * scale
     least = 0.3 * scale
     yield ChangeRow(cause, name, spread=spread, least=least)
-    yield ChangeRow(cause, name, spread=spread, least=least, slowly=1800.0, price=RARE)
+    yield ChangeRow(cause, name, spread=spread, least=least, slowly=1800.0)
 
 
 def _rows_of_drive(j: int, reach: float) -> Iterator[ChangeRow]:
@@ -158,14 +170,18 @@ def _rows_of_drive(j: int, reach: float) -> Iterator[ChangeRow]:
     `reach` is the width of its range.
     """
     share = f"share {j}"
-    yield ChangeRow(
-        (Fault.DRIVE_LOST, j), share, shift=-1.0, spread=0.03, least=0.5, wanders=0.05
+    yield ChangeRow((Fault.DRIVE_LOST, j), share, shift=-1.0, spread=0.03, least=0.5)
+    weak = ChangeRow(
+        (Fault.DRIVE_WEAK, j),
+        share,
+        shift=-0.35,
+        spread=0.2,
+        least=LESS,
+        wanders=MIXED,
     )
-    yield ChangeRow((Fault.DRIVE_WEAK, j), share, shift=-0.35, spread=0.2, least=0.1)
-    yield ChangeRow((Fault.DRIVE_WEAK, j), share, shift=0.3, spread=0.2, least=MORE)
-    yield ChangeRow(
-        (Fault.DRIVE_WEAK, j), share, spread=0.3, least=0.1, slowly=300.0, price=RARE
-    )
+    yield weak
+    yield replace(weak, shift=0.3, least=MORE)
+    yield replace(weak, shift=0.0, spread=0.3, slowly=300.0, price=RARE)
     push = 0.15 * reach
     least = 0.05 * reach
     yield ChangeRow(
@@ -183,7 +199,6 @@ def _rows_of_supply(drives: int) -> Iterator[ChangeRow]:
         shift=-1.0,
         spread=0.03,
         least=0.5,
-        wanders=0.05,
     )
     weak = ChangeRow(
         (Fault.DRIVE_WEAK, EVERY),
@@ -191,10 +206,10 @@ def _rows_of_supply(drives: int) -> Iterator[ChangeRow]:
         also=also,
         shift=-0.35,
         spread=0.2,
-        least=0.1,
+        least=LESS,
     )
     yield weak
-    yield replace(weak, shift=0.3, least=MORE)
+    yield replace(weak, shift=0.3, least=MORE, price=GROWS)
 
 
 def _rows_of_crossing(model: Model) -> Iterator[ChangeRow]:
@@ -205,7 +220,11 @@ def _rows_of_crossing(model: Model) -> Iterator[ChangeRow]:
         follows = [reach / other for other in reaches]
         follows[j] = 0.0
         yield ChangeRow(
-            (Fault.DRIFT, j), f"push {j}", spread=CROSSES, follows=tuple(follows)
+            (Fault.DRIFT, j),
+            f"push {j}",
+            spread=CROSSES,
+            wanders=MIXED,
+            follows=tuple(follows),
         )
 
 
@@ -213,14 +232,15 @@ def _rows_of_sensor(i: int, noise: float) -> Iterator[ChangeRow]:
     """The i-th reading has shifted, at once or slowly; or something that passes has moved its output."""
     drift = (Fault.SENSOR_DRIFT, i)
     offset = f"offset {i}"
-    yield ChangeRow(drift, offset, spread=30.0 * noise, least=8.0 * noise, wanders=0.1)
+    yield ChangeRow(drift, offset, spread=30.0 * noise, least=8.0 * noise)
     yield ChangeRow(
         drift,
         offset,
-        spread=30.0 * noise,
+        spread=CREEP * noise,
         least=8.0 * noise,
         slowly=300.0,
         price=CREEPS,
+        wanders=MIXED,
     )
     for spread in (3.0 * noise, 12.0 * noise):
         yield ChangeRow(

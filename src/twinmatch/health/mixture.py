@@ -322,6 +322,29 @@ class HealthyMixture:
             members.covariance[b, :, i] = 0.0
             members.covariance[b, i, i] = deviations[i] ** 2
 
+    @property
+    def of_plant(self) -> BoolArray:
+        """Which numbers of a belief say how the plant is: its parameters, and what its drives do; shape (N,)."""
+        of_sensors = 3 * len(self._model.noise)
+        places = np.arange(len(self.numbers))
+        return np.asarray(
+            (places >= self._n) & (places < len(self.numbers) - of_sensors)
+        )
+
+    @property
+    def logged(self) -> BoolArray:
+        """Which numbers of a belief are logarithms of parameters, shape (N,)."""
+        logged = np.zeros(len(self.numbers), dtype=bool)
+        free = self.fixed.free.logged
+        logged[self._n : self._n + len(free)] = free
+        return logged
+
+    def way_back(self, level: int, before: FloatArray) -> FloatArray:
+        """What leads from what a level believes now to what was believed before, shape (N,); of logarithms as
+        shares."""
+        way = before - self.members.at[level]
+        return np.asarray(np.where(self.logged, np.expm1(way), way))
+
     def acting(self, u: FloatArray) -> FloatArray:
         """The inputs as they act now, in each way."""
         if self._inputs is None:
