@@ -290,13 +290,12 @@ def _of_matches(
 
 def _of_forecasts(verdicts: Sequence[Verdict]) -> Iterator[Finding]:
     """That the leader at the end is of no use at any horizon, though its parameters could be matched."""
-    if not verdicts or verdicts[-1].leading is None:
+    leader = verdicts[-1].leading if verdicts else None
+    if leader is None:
         return
-    verdict = verdicts[-1]
-    doubts = verdict.leading.doubts(verdict.horizons)
-    fails_everywhere = len(doubts) == len(verdict.horizons) and FEW not in (
-        doubts.values()
-    )
+    horizons = verdicts[-1].horizons
+    doubts = leader.doubts(horizons)
+    fails_everywhere = len(doubts) == len(horizons) and FEW not in (doubts.values())
     if fails_everywhere and any(doubt.certain for doubt in doubts.values()):
         yield Finding(
             f"matches are accepted, but the twin is of no use at the end: {doubt_words(doubts)}",
