@@ -867,3 +867,34 @@ def test_the_verdict_names_a_structure_that_the_check_finds_among_the_best(
     # In 20 minutes a lag of the sensors does not gain what its two unknowns cost; over the whole run it errs a third
     # less. Without the box with mass errors are 1.9 times as large.
     assert errors[verdict.structure] < 1.4 * min(errors.values())
+
+
+def resonator(path: Path) -> None:
+    """A mass on a spring with little friction, under levels of a force: 20 samples in a period."""
+    random = np.random.default_rng(4)
+    force = np.repeat(random.uniform(-1.0, 1.0, 60), 30)
+    w = 2 * np.pi / 20
+    x = v = 0.0
+    rows = ["time (s),force (N),way (mm)"]
+    for k, u in enumerate(force.tolist()):
+        rows.append(f"{0.02 * k:.2f},{u:.4f},{x + 0.002 * random.normal():.5f}")
+        for _ in range(20):
+            v += (w * w * (0.3 * u - x) - 0.1 * w * v) / 20
+            x += v / 20
+    path.write_text("\n".join(rows) + "\n")
+
+
+def test_a_twin_that_is_matched_and_of_no_use_is_a_finding(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A lag explains an oscillation within the noise that was measured, and forecasts it worse than ARX."""
+    monkeypatch.chdir(tmp_path)
+    resonator(tmp_path / "log.csv")
+    assert main(["new-plant", "resonator", "--from", "log.csv"]) == 0
+    capsys.readouterr()
+    written = ["--data", "log.csv", "--map-file", "resonator_map.yaml"]
+    assert main(["check-plant", "resonator.py", *written]) == 1
+    said = capsys.readouterr().out
+    assert "the twin is of no use at the end" in said
+    assert "worse than a linear model without physics (ARX)" in said
+    assert "an effect is missing in the equations, such as an oscillation" in said

@@ -5,14 +5,22 @@ from __future__ import annotations
 import re
 import runpy
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.support.literature import (
+    Recorded,
+    evaporator,
+    quadruple_tank,
+    three_tanks,
+)
 from tests.support.plants import Lag
 from twinmatch.adding import check_plant, files_of, propose
 from twinmatch.adding.data import compare_structures
+from twinmatch.adding.proposal import range_of
 from twinmatch.adding.several import propose_several
 from twinmatch.cli import main
 from twinmatch.dynamics import begin, simulate_driven
@@ -107,6 +115,55 @@ def test_the_files_of_several_loops_have_no_findings(
         (tmp_path / name).write_text(text)
     assert check_plant(find_plant("zones_of_two.py")).findings == ()
     runpy.run_path("test_zones_of_two.py")["test_its_parameters_are_recovered"]()
+
+
+@pytest.mark.parametrize("process", [three_tanks, quadruple_tank, evaporator])
+def test_files_of_processes_whose_inputs_add_up_have_no_findings(
+    process: Callable[[], Recorded], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With all inputs at the ends that raise an output, it goes farther than with one of them: `check-plant`
+    accused the span that `new-plant` had written."""
+    monkeypatch.chdir(tmp_path)
+    recorded = process()
+    name = f"spans_of_{process.__name__}"
+    signal_map = parse_map(recorded.write(tmp_path / "log.csv"))
+    proposal = propose_several(open_table(tmp_path / "log.csv"), signal_map)
+    for file_name, text in files_of(name, proposal).items():
+        (tmp_path / file_name).write_text(text)
+    assert check_plant(find_plant(f"{name}.py")).findings == ()
+
+
+def test_signals_with_short_titles_keep_them(tmp_path: Path) -> None:
+    """What is said of `output_1` has to be looked up; h1 has not."""
+    recorded = three_tanks(600)
+    titles = ["time", "h1", "pH", "T_3", "u", "Q2"]
+    columns = [
+        2.0 * np.arange(600.0),
+        *recorded.outputs.T,
+        *recorded.inputs.T,
+    ]
+    path = written(tmp_path / "tanks.csv", dict(zip(titles, columns, strict=True)))
+    roles = ["time", "output.1", "output.2", "output.3", "input.1", "input.2"]
+    signal_map = parse_map([f"{r}={t}" for r, t in zip(roles, titles, strict=True)])
+    proposal = propose_several(open_table(path), signal_map)
+    names = [output.signal.name for output in proposal.outputs]
+    assert names == ["h1", "ph", "t_3"]
+    assert [u.name for u in proposal.inputs] == ["input_1", "q2"]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "limits"),
+    [
+        (91.0, 109.0, (0.0, 255.0)),
+        (0.0, 103.0, (0.0, 103.0)),
+        (-40.0, 103.0, (-100.0, 103.0)),
+        (20.0, 240.0, (0.0, 255.0)),
+    ],
+)
+def test_what_is_never_negative_has_no_negative_limit(
+    low: float, high: float, limits: tuple[float, float]
+) -> None:
+    assert range_of(np.array([low, high])) == limits
 
 
 def test_inputs_far_from_zero_count_from_their_middles(

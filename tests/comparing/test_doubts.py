@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from benchmarks.bank.kits import typical
 from twinmatch.comparing import ForecastScore
+from twinmatch.comparing.verdict import Shortfall, doubt_words
 
 HORIZON = 10.0
 
@@ -78,3 +79,9 @@ def test_what_is_trusted_is_better_than_standing_still_and_about_as_good_as_arx(
     if is_trusted(scored, before=before):
         assert persistence > 0.0
         assert arx >= -0.1 - 1e-9 or math.log(1.0 - arx_high) <= math.log(1.1) + 1e-9
+
+
+def test_horizons_of_fast_plants_are_said_to_three_digits() -> None:
+    worse = Shortfall("its forecasts are off by {}", "2.00", certain=True)
+    words = doubt_words({2 / 75: worse, 22500.0: worse})
+    assert words == "0.0267 and 22500 s ahead its forecasts are off by 2.00 and 2.00"

@@ -147,6 +147,8 @@ def test_defaults_that_are_far_off_are_not() -> None:
 def test_a_quiet_window_says_by_what_it_was_judged() -> None:
     still = Window(np.zeros(60), np.zeros(60), np.full(60, 3.0))
     assert why_not_moved(still, Lag, LEAST) == "the input did not move"
+    resampled = Window(np.zeros(60), np.zeros(60), np.resize([3.0, 3.0 + 1e-14], 60))
+    assert why_not_moved(resampled, Lag, LEAST) == "the input did not move"
     trembling = Window(np.zeros(60), np.zeros(60), np.resize([0.0, 0.02], 60))
     assert why_not_moved(trembling, Lag, LEAST) == (
         "the input moved by 0.02 V, which by the defaults of the plant file moves the output by 0.022 m, "

@@ -88,7 +88,12 @@ def test_only_a_movement_that_stays_and_that_nobody_expected_is_a_jump(
 
 def forecast(error: float, standing: float, ahead: int = 3) -> ScoredForecast:
     return ScoredForecast(
-        0, ahead, 1.0, np.array([error**2, 0.0]), np.array([standing**2, 0.0])
+        0,
+        ahead,
+        1.0,
+        np.array([error**2, 0.0]),
+        np.array([standing**2, 0.0]),
+        np.zeros(2),
     )
 
 

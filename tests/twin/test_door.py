@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from tests.support import untaught
 from twinmatch.comparing import TrustLevel, Verdict
-from twinmatch.forecasting.baselines import Arx
+from twinmatch.fitting.arx import Arx
 from twinmatch.health import Fault
 from twinmatch.sessions import samples_of
 from twinmatch.signals import Sample, Window

@@ -11,6 +11,7 @@ from tests.support.exchanging import Heaters
 from twinmatch.comparing import Candidate
 from twinmatch.dynamics import (
     LinearLaw,
+    Output,
     advance,
     begin,
     simulate_closed_loop,
@@ -252,3 +253,13 @@ def test_a_match_of_several_loops_is_called_as_precisely_as_its_signals_are_show
     name = name_at((54.73612, -1e-9), Heaters)
     assert name == f"{round(54.73612, decimals[0]):g} {first.unit}, 0 {second.unit}"
     assert "54.73612" not in name
+
+
+def test_a_level_without_a_unit_ends_with_its_number() -> None:
+    """A sentence continues behind it."""
+
+    class Acid(Heaters, name="acid"):
+        first = Output(unit="°C", noise=0.1, span=(0.0, 150.0))
+        second = Output(unit="", noise=0.1, span=(0.0, 150.0))
+
+    assert name_at((15.0, 7.0), Acid) == "15 °C, 7"

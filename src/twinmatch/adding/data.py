@@ -18,6 +18,7 @@ import numpy as np
 from twinmatch.adding.check import Shown
 from twinmatch.adding.noise import noise_of
 from twinmatch.adding.trial import CheckedPlant, Finding, time_constants
+from twinmatch.comparing.verdict import FEW, Verdict, doubt_words
 from twinmatch.dynamics import Law, Model, Parameters, Plant, PlantError, commands_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import FittingError, Noise, StructureFit, fit_structure, in_parts
@@ -76,6 +77,10 @@ _TODO: Final = {
 }
 _REST_FIRST: Final = (
     "rest first, then step: twinmatch experiment says for how long, and how far"
+)
+_NO_BETTER: Final = (
+    "an effect is missing in the equations, such as an oscillation, a bend or a dead time, although what it "
+    "leaves is within what a match may leave: add it as a part, with a structure that has it"
 )
 _FAULTY: Final = (
     "leave that part of the recording out; if the plant was healthy, correct what is declared: `span` of the "
@@ -155,6 +160,8 @@ def check_data(
     if 2 * accepted < len(matches):
         # where matches are accepted anyway, it is a remark
         findings += compared.findings
+    else:
+        findings += _of_forecasts(judgement.verdicts)
     if not accepted and any(match.status is Status.NOT_EXPLAINED for match in matches):
         findings += _of_what_is_left(compared.least, plant)
     return CheckedPlant(
@@ -279,6 +286,21 @@ def _of_matches(
                 problem,
                 "; or ".join(filter(None, (first.suggestion, _TODO.get(status)))),
             )
+
+
+def _of_forecasts(verdicts: Sequence[Verdict]) -> Iterator[Finding]:
+    """That the leader at the end is of no use at any horizon, though its parameters could be matched."""
+    leader = verdicts[-1].leading if verdicts else None
+    if leader is None:
+        return
+    horizons = verdicts[-1].horizons
+    doubts = leader.doubts(horizons)
+    fails_everywhere = len(doubts) == len(horizons) and FEW not in (doubts.values())
+    if fails_everywhere and any(doubt.certain for doubt in doubts.values()):
+        yield Finding(
+            f"matches are accepted, but the twin is of no use at the end: {doubt_words(doubts)}",
+            _NO_BETTER,
+        )
 
 
 def _accepted(matches: tuple[MatchReport, ...]) -> list[str]:

@@ -473,8 +473,8 @@ def signal_name(
     role = signal.partition(".")[0]
     if title.lower() in _KNOWN and title.lower() != role:
         title = _ROLES[role]
-    has_a_word = re.search(r"[a-zA-Z]{3}", title)
-    return word(title if has_a_word else signal, names_in_file)
+    says_something = re.search(r"[a-zA-Z]{2}|[a-zA-Z]_?\d", title)
+    return word(title if says_something else signal, names_in_file)
 
 
 def unit_of(table: Table, sources: Mapping[str, SignalSource], signal: str) -> str:
@@ -537,7 +537,7 @@ def range_of(values: FloatArray) -> tuple[float, float]:
             least - slack <= low
             and high <= most + slack
             and high > 0.2 * most
-            and (low >= 0.0 or least < 0.0)
+            and (low < 0.0) == (least < 0.0)
         ):
             return min(least, low), max(most, high)
     return round_out(low, high) if high > low else (low - 1.0, high + 1.0)

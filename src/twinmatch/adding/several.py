@@ -228,11 +228,15 @@ def _lagged(
     gains, lag, rest = _first_order(excess, commanded, noise, period)
     reach = float(np.ptp(reading)) or 1.0
     level = 0.0 if around is None else float(around.values.mean())
-    steady = [level + rest]
-    for gain, drive in zip(gains, drives, strict=True):
-        steady += [level + rest + gain * limit for limit in (drive.low, drive.high)]
-    low = min(float(reading.min()), *steady) - reach
-    high = max(float(reading.max()), *steady) + reach
+    effects = [
+        (gain * drive.low, gain * drive.high)
+        for gain, drive in zip(gains, drives, strict=True)
+    ]
+    # All inputs may stand at the ends that move the output the same way.
+    lowest = level + rest + sum(min(ends) for ends in effects)
+    highest = level + rest + sum(max(ends) for ends in effects)
+    low = min(float(reading.min()), lowest) - reach
+    high = max(float(reading.max()), highest) + reach
     low, high = round_out(low, high)
     return LaggedOutput(
         signal._replace(low=low, high=high),

@@ -39,6 +39,7 @@ from twinmatch.offline.controllers import (
     experiment_terms,
     ground_of,
     members_from,
+    moved_together,
     read_law,
     usual_profile,
 )
@@ -149,8 +150,14 @@ def run(options: argparse.Namespace) -> int:
             return _first_pid(ground, twins, options)
         answer = None if options.loop is None else _tried(options.loop, ground, twins)
         goal = goal_named(options.goal, twins, terms, answer)
-        with Progress("searching") as progress:
-            experiment = next_experiment(twins, goal, terms, progress.advance)
+        try:
+            with Progress("searching") as progress:
+                experiment = next_experiment(twins, goal, terms, progress.advance)
+        except ControllerError as error:
+            together = moved_together(ground)
+            if together is None:
+                raise
+            raise ControllerError(f"experiment: {together.sentence}") from error
     for line in experiment_words(experiment):
         print(line)
     write_json(

@@ -109,7 +109,7 @@ def linearised_in_loop(
     if linear is None or not all(map(finite, linear[:3])):
         model = parameters.model
         in_words = " and ".join(
-            f"{y:g} {output.unit}"
+            f"{y:g} {output.unit}".rstrip()
             for y, output in zip(row, model.plant.outputs.values(), strict=True)
         )
         raise DiscriminationError(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from twinmatch.comparing.verdict import LEVEL_WORDS, TrustLevel, Verdict, number_list
+from twinmatch.comparing.verdict import LEVEL_WORDS, TrustLevel, Verdict, horizon_list
 from twinmatch.safety import is_limit
 
 _PLACE: Final = ": look at "
@@ -43,7 +43,7 @@ NOWHERE: Final = "at no horizon"
 
 def ahead_words(horizons: tuple[float, ...]) -> str:
     """At which horizons, s, forecasts pass the test of trust."""
-    return f"{number_list(horizons)} s ahead" if horizons else NOWHERE
+    return f"{horizon_list(horizons)} s ahead" if horizons else NOWHERE
 
 
 class FaultStatement(NamedTuple):

@@ -89,7 +89,7 @@ def doubt_words(doubts: Mapping[float, Shortfall]) -> str:
             if doubt.words == words
         }
         clauses.append(
-            f"{number_list(figures)} s ahead {words.format(number_list(figures.values()))}"
+            f"{horizon_list(figures)} s ahead {words.format(number_list(figures.values()))}"
         )
     return ", and ".join(clauses)
 
@@ -100,6 +100,11 @@ def number_list(listed: Iterable[float | str], digits: str = "g") -> str:
         entry if isinstance(entry, str) else format(entry, digits) for entry in listed
     )
     return f"{', '.join(first)} and {last}" if first else last
+
+
+def horizon_list(horizons: Iterable[float]) -> str:
+    """Horizons in a sentence, s, to three digits: those of fast plants are odd multiples of their period."""
+    return number_list(float(f"{horizon:.3g}") for horizon in horizons)
 
 
 class TrustLevel(Enum):

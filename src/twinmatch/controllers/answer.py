@@ -541,7 +541,8 @@ def _misconduct(
 def levels_words(plant: type[Plant], point: Sequence[float]) -> str:
     """An operating point in words."""
     return ", ".join(
-        f"{v:g} {o.unit}" for v, o in zip(point, plant.outputs.values(), strict=True)
+        f"{v:g} {o.unit}".rstrip()
+        for v, o in zip(point, plant.outputs.values(), strict=True)
     )
 
 

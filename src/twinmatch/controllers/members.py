@@ -138,7 +138,9 @@ class Holding:
         is_finite = np.isfinite(states).all() and np.isfinite(inputs).all()
         if not is_finite or not ((low < inputs) & (inputs < high)).all():
             outputs = zip(levels, model.plant.outputs.values(), strict=True)
-            where = ", ".join(f"{level:g} {output.unit}" for level, output in outputs)
+            where = ", ".join(
+                f"{level:g} {output.unit}".rstrip() for level, output in outputs
+            )
             raise PlantError(
                 f"{model.title}: it is not held at {where} within the limits of its drives"
             )

@@ -147,7 +147,7 @@ def _not_held(model: Model, y: FloatArray) -> PlantError:
         low, high = drive.limits
         ranges.append(f"{name} between {low:g} and {high:g}")
     outputs = zip(y, model.plant.outputs.values(), strict=True)
-    levels = ", ".join(f"{level:g} {output.unit}" for level, output in outputs)
+    levels = ", ".join(f"{level:g} {output.unit}".rstrip() for level, output in outputs)
     return PlantError(
         f"{model.title}: no {', '.join(ranges)} holds it at {levels}; give an operating point at which it "
         "can be held"

@@ -32,6 +32,8 @@ _CHANCE: Final = 1e-6
 """Probability that inputs without an effect would count as having one."""
 _ENDLESS: Final = 1e12
 """Deviation beyond which a fitted model runs away."""
+_ROUNDING: Final = 1e-9
+"""Share of an input's limits up to which a movement is what resampling a level leaves."""
 _ROWS_FOR_EACH: Final = 3
 """Equations needed for each coefficient."""
 
@@ -185,7 +187,7 @@ def why_not_moved(window: Window, plant: type[Plant], least: FloatArray) -> str:
     drives = [*plant.drives.items()]
     ranges = np.array([drive.limits[1] - drive.limits[0] for _, drive in drives])
     furthest = int(np.argmax(swings / ranges))
-    if swings[furthest] == 0.0:
+    if swings[furthest] <= _ROUNDING * ranges[furthest]:
         return "the input did not move"
     name, drive = drives[furthest]
     input_name = "the input" if len(drives) == 1 else f"the input {name}"

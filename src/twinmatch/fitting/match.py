@@ -305,7 +305,7 @@ def _split(
                 f"{why_not_moved(window, plant, least)}, in the window's {len(window)} samples",
             )
         steps = " or ".join(
-            f"{step:g} {output.unit}"
+            f"{step:g} {output.unit}".rstrip()
             for step, output in zip(least, outputs, strict=True)
         )
         how_far = (

@@ -7,8 +7,8 @@ width of the bands from past errors, and the `Ledger` keeps the cost of every ca
 much better they are than those of the baselines, which need no twin.
 """
 
+from twinmatch.fitting.arx import Arx, ArxForecast
 from twinmatch.forecasting.arrival import Arrival, ArrivalQuestion, arrival
-from twinmatch.forecasting.baselines import Arx, ArxForecast
 from twinmatch.forecasting.forecast import (
     CONFIDENCE,
     HORIZONS,

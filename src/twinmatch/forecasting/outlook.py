@@ -26,7 +26,7 @@ from twinmatch.dynamics import (
 )
 from twinmatch.dynamics.laws import LOW
 from twinmatch.dynamics.pace import usual_scale
-from twinmatch.forecasting.baselines import Visited
+from twinmatch.fitting.arx import Visited
 from twinmatch.forecasting.forecast import CONFIDENCE, Band, Forecast, ForecastError
 from twinmatch.signals import FloatArray, Sample, Signals
 

@@ -68,10 +68,12 @@ _NAMING: Final = _Naming()
 
 
 _OF_A_DRIVE: Final = (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
-_LEARNED_FIRST: Final = frozenset(
+_OF_THE_PLANT: Final = frozenset(
     f for f, traits in TRAITS.items() if traits.another_plant
-) | {Fault.DRIFT}
-"""Faults that may be parameters that are not known yet."""
+)
+"""Faults that make another plant."""
+_LEARNED_FIRST: Final = _OF_THE_PLANT | {Fault.DRIFT, Fault.DISTURBANCE}
+"""Faults that may be parameters that are not known yet: a push that fades looks like one as well."""
 
 
 class _Ending(Rule):
@@ -488,7 +490,7 @@ class ChannelMonitor:
         cause is taken for how the plant is, and its end is expected.
         """
         is_reported = self.on is not None and self.on.fault is Fault.DRIFT
-        is_of_plant = best.cause[0] in _LEARNED_FIRST - {Fault.DRIFT}
+        is_of_plant = best.cause[0] in _OF_THE_PLANT
         return is_reported and is_of_plant and self.competition.is_forgotten_soon(best)
 
     def _over(self, on: ChannelAlarm, suspects: list[Suspect]) -> bool:
@@ -519,7 +521,8 @@ class ChannelMonitor:
         if best.row.is_end:
             return False
         young = self._is_young(best)
-        if best.cause[0] in _LEARNED_FIRST and self.competition.rough:
+        is_slow = best.cause[0] in _OF_THE_PLANT or best.cause[0] is Fault.DRIFT
+        if is_slow and self.competition.rough:
             return False
         is_large = abs(best.shift) >= self._least_reported(best)
         if is_large and not young:

@@ -58,6 +58,9 @@ class _Following(Rule):
 _FOLLOWING: Final = _Following()
 
 
+_AT_ONCE: Final = 0.5
+"""Share of what a reading is said to be off by from which on it has jumped, and of a jump by which one that
+follows its plant moves on behind it."""
 _HOUR: Final = 3600.0
 _LEAST_LOG_WEIGHT: Final = math.log(0.01)
 """Log-weight of a level from which on changes begin in it."""
@@ -162,6 +165,10 @@ class Competition:
             maxlen=round(_FOLLOWING.reach * self.second) + self.healthy.latest
         )
         """The newest ones, of each drive, as distances from rest."""
+        self._values = deque[FloatArray](
+            maxlen=round((_FOLLOWING.reach + 2.0 * EVERY) * self.second) + 3
+        )
+        """The newest readings, of all outputs."""
         self.healthy.restart()
         for sensor, rehearsal in zip(self.sensors, self.rehearsals, strict=True):
             sensor.restart()
@@ -279,6 +286,8 @@ class Competition:
         row = self._model.disturbance_row(sample.disturbances or None)
         u = np.array(sample.inputs)
         self._commands.append(np.abs(u - self._model.rest))
+        self._values.append(values)
+        healthy.take(sample, values, counts)
         healthy.open(values, u, row)
         readings = list(
             zip(self.sensors, values.tolist(), counts.tolist(), strict=True)
@@ -554,16 +563,44 @@ class Competition:
 
     def may_accuse(self, suspect: Suspect) -> bool:
         """Whether the equations forecast well what they would be believed in: the output that a cause
-        concerns, or all of them. No plant moves as a reading does that jumps."""
+        concerns, or all of them. No plant moves as a reading does that jumps.
+
+        A change is not believed in either if a linear model has forecast what the equations missed since.
+        """
         fault, place = suspect.cause
         if fault is Fault.SENSOR_DRIFT and not suspect.row.slowly:
-            return True
+            return self._has_jumped(suspect)
         variance = np.array([sensor.variance for sensor in self.sensors])
-        knows = self.healthy.skill.knows(variance)
+        healthy = self.healthy
+        since = healthy.known - (self.count - suspect.born)
+        knows = healthy.skill.knows(variance)
+        is_explained = healthy.newest_forecasts.explained(since, variance)
         concerns_one_output = (
             TRAITS[fault].subject is Subject.OUTPUT or fault is Fault.DISTURBANCE
         )
-        return bool(knows[place] if concerns_one_output else knows.all())
+        if concerns_one_output:
+            return bool(knows[place] and not is_explained[place])
+        is_missed = healthy.newest_forecasts.missed(since, variance)
+        all_explained = is_missed.any() and is_explained[is_missed].all()
+        return bool(knows.all() and not all_explained)
+
+    def _has_jumped(self, suspect: Suspect) -> bool:
+        """Whether a reading that is said to be off has moved, where that began, by much of it at once, and
+        stayed there.
+
+        What moves on may be the plant, which the equations expected elsewhere.
+        """
+        output = suspect.cause[1]
+        samples = max(1, round(EVERY * self.second)) + 1
+        begin = max(len(self._values) - (self.count - suspect.born) - 1, 0)
+        readings = np.array([values[output] for values in self._values])[begin:]
+        moved = np.sign(suspect.shift) * (readings - readings[0])
+        at_once = float(moved[: samples + 1].max())
+        afterwards = float(moved[samples : 2 * samples + 1].max(initial=0.0))
+        return (
+            at_once >= _AT_ONCE * abs(suspect.shift)
+            and afterwards < (1.0 + _AT_ONCE) * at_once
+        )
 
     @property
     def rough(self) -> bool:

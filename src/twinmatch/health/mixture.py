@@ -18,8 +18,10 @@ from twinmatch.dynamics.bank import BankConstants, BankMembers, weigh
 from twinmatch.dynamics.pace import plant_scale, slow_scale
 from twinmatch.dynamics.simulation import begin
 from twinmatch.dynamics.tracker import Assumed
+from twinmatch.health.faults import HOUR
+from twinmatch.health.linear_rival import LinearRival
 from twinmatch.settings import Rule
-from twinmatch.signals import BoolArray, FloatArray
+from twinmatch.signals import BoolArray, FloatArray, Sample
 
 LEVELS: Final = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
 """Sizes of the equations' error, in units of that of a real rig."""
@@ -129,6 +131,8 @@ class ScoredForecast(NamedTuple):
     """Squared errors."""
     standing: FloatArray
     """Those of a reading that had stayed what it was."""
+    linear: FloatArray
+    """Those of a linear model without physics."""
 
 
 class ForecastSkill:
@@ -169,6 +173,58 @@ class ForecastSkill:
         return np.asarray(
             self._squares <= self._FARTHER**2 * np.maximum(self._standing, small)
         )
+
+
+class NewestForecasts:
+    """Whether a linear model without physics has forecast what the equations missed.
+
+    What changes in a plant, or pushes it, is missed by both. What only the equations miss is theirs.
+    """
+
+    _FARTHER: Final = 2.0
+    """Times as far that the equations may err; real faults of kits came to 1.9."""
+    _SMALL: Final = 3.0
+    """Errors up to so many standard deviations of a reading are none."""
+    _LEAST: Final = 3
+    """Forecasts that are needed to say so."""
+    _AHEAD: Final = 2
+    """Place of the shortest forecasts that count: sooner, nothing has moved."""
+
+    def __init__(self) -> None:
+        """Begin without any forecast."""
+        self._scored: deque[ScoredForecast] = deque()
+
+    def take(self, scored: ScoredForecast, reach: int) -> None:
+        """Take a forecast, and drop those that were scored more than `reach` samples before it."""
+        if scored.ahead >= self._AHEAD:
+            self._scored.append(scored)
+        while self._scored and scored.at - self._scored[0].at > reach:
+            self._scored.popleft()
+
+    def clear(self) -> None:
+        """Forget all, after a gap."""
+        self._scored.clear()
+
+    def explained(self, since: int, variance: FloatArray) -> BoolArray:
+        """Which outputs the linear model has forecast far better than the equations, in forecasts scored since
+        a sample, counted from the beginning; readings have this variance."""
+        scored = [forecast for forecast in self._scored if forecast.at >= since]
+        if len(scored) < self._LEAST:
+            return np.zeros(variance.size, dtype=bool)
+        of_equations = np.mean([forecast.squares for forecast in scored], axis=0)
+        of_linear = np.mean([forecast.linear for forecast in scored], axis=0)
+        small = self._SMALL**2 * variance
+        return np.asarray(
+            of_equations > self._FARTHER**2 * np.maximum(of_linear, small)
+        )
+
+    def missed(self, since: int, variance: FloatArray) -> BoolArray:
+        """Which outputs the equations have missed by more than their readings scatter, in the same forecasts."""
+        scored = [forecast for forecast in self._scored if forecast.at >= since]
+        if not scored:
+            return np.ones(variance.size, dtype=bool)
+        of_equations = np.mean([forecast.squares for forecast in scored], axis=0)
+        return np.asarray(of_equations > self._SMALL**2 * variance)
 
 
 class HealthyMixture:
@@ -216,6 +272,10 @@ class HealthyMixture:
         self._weights = np.full(len(AHEAD), _RECORD.prior)
         self._waiting: deque[ScoredForecast] = deque()
         self.skill = ForecastSkill(len(model.noise))
+        self.newest_forecasts = NewestForecasts()
+        self._linear = LinearRival(
+            _RECORD.count, self._ahead[-1], math.exp(-1.0 / (HOUR * self.second))
+        )
         self._values_begun = np.zeros((_RECORD.count, len(model.noise)))
         self._misses_when_fresh = np.zeros((_RECORD.count, len(model.noise)))
         """By how much each forecast missed the newest fresh reading of each output, squared and in its
@@ -267,6 +327,7 @@ class HealthyMixture:
         """What of each input arrives at the places of the other drives, shape (m,)."""
         self._behind = np.zeros((self._lagging.size, self._model.rest.size))
         self.forget_newest()
+        self.newest_forecasts.clear()
         self._again = True
         self.log_weights = np.log(self._prior())
 
@@ -285,6 +346,10 @@ class HealthyMixture:
         prior[-1] = of_no_equations
         self._usual = np.asarray(prior / prior.sum())
         return self._usual
+
+    def take(self, sample: Sample, values: FloatArray, counts: BoolArray) -> None:
+        """Have the linear model without physics take a sample."""
+        self._linear.take(sample, values, counts)
 
     def open(self, values: FloatArray, u: FloatArray, row: FloatArray) -> None:
         """Begin, or begin again after a gap, at a reading; set the errors that are assumed."""
@@ -439,7 +504,7 @@ class HealthyMixture:
     ) -> None:
         """Compare forecasts with the readings, whose own variance is given, and begin another; `count` are
         the samples since the last gap, and `reach` is the highest age of a change."""
-        self._score_and_end(count, values, variance, all_seen=bool(counts.all()))
+        self._score_and_end(count, values, variance, reach, all_seen=bool(counts.all()))
         late = (
             _RECORD.counted * self.second
             if self.known > _RECORD.known * self.second
@@ -462,7 +527,13 @@ class HealthyMixture:
             self.doubts = np.interp(ages, np.log(self._ahead), dispersion)
 
     def _score_and_end(
-        self, count: int, values: FloatArray, variance: FloatArray, *, all_seen: bool
+        self,
+        count: int,
+        values: FloatArray,
+        variance: FloatArray,
+        reach: int,
+        *,
+        all_seen: bool,
     ) -> None:
         """Score the forecasts that are as old as one that is compared, end the oldest, and begin another."""
         members = self.members
@@ -477,10 +548,13 @@ class HealthyMixture:
                 )
                 standing = (values - self._values_begun[k]) ** 2
                 ahead = self._ahead.index(age)
+                linear = (values - self._linear.forecast(k, age)) ** 2
+                error = float(in_variances.mean())
                 scored = ScoredForecast(
-                    self.known, ahead, float(in_variances.mean()), squares, standing
+                    self.known, ahead, error, squares, standing, linear
                 )
                 self._waiting.append(scored)
+                self.newest_forecasts.take(scored, reach)
             if not alive or age >= self._ahead[-1]:
                 members.alive[b] = False
                 free = k
@@ -490,6 +564,7 @@ class HealthyMixture:
                 array[b] = array[self.best]
             members.alive[b] = True
             self._begun[free] = count
+            self._linear.begin(free)
             self._values_begun[free] = values
 
     def choose_way(self) -> bool:

@@ -44,6 +44,8 @@ SHARE = 0.1
 """Step of the usual profile, as a share of the range of the set-points."""
 HOLD = 240
 """Time for which a level is held, s, on a plant with a time constant of 100 s."""
+ALONE = 0.5
+"""Share of an input's movement below which what is its own shows nothing of it."""
 VISITED = 3.0
 """Margin around the visited levels, in the output's noise."""
 
@@ -305,9 +307,13 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
     fits = [fit_session(model, whole) for model in models]
     best = min(fits, key=lambda fit: fit.charge)
     if not best.fit[0] >= FITS.least_fit:
+        together = moved_together(ground)
+        advice = (
+            "record steps of every input" if together is None else together.sentence
+        )
         raise ControllerError(
             f"session {session.name}: {best.model.title} explains only {100 * max(best.fit[0], 0.0):.0f} % "
-            "of its movement, so it cannot say what a controller would do; record steps of every input"
+            f"of its movement, so it cannot say what a controller would do; {advice}"
         )
     supported = [
         fit.model for fit in fits if fit.charge <= best.charge + FITS.most_charge
@@ -415,6 +421,45 @@ def experiment_terms(
     return ExperimentTerms.of(
         ground.plant, holding, ground.level, size=size, within=within
     )
+
+
+@dataclass(frozen=True)
+class MovedTogether:
+    """Inputs that moved only as the others did: what each of them does alone does not show."""
+
+    inputs: tuple[str, ...]
+    """Their names in the plant file, at least one."""
+    hold: float
+    """How long a step has to be held to show what it does, s."""
+
+    @property
+    def sentence(self) -> str:
+        """That it is so, and what to record."""
+        names = f"{', '.join(self.inputs[:-1])} and {self.inputs[-1]}".removeprefix(
+            " and "
+        )
+        return (
+            f"{names} moved only together with the other inputs, so what each does alone does not show; record "
+            f"a step of each input alone, the others held (or of the set-points, one after the other), for "
+            f"{self.hold:.3g} s each"
+        )
+
+
+def moved_together(ground: Ground) -> MovedTogether | None:
+    """The inputs of a plant with several whose movement the others explain nearly; None without one."""
+    inputs = np.array([sample.inputs for sample in ground.session.samples])
+    together = []
+    for j, name in enumerate(ground.plant.drives):
+        others = np.delete(inputs, j, axis=1)
+        table = np.column_stack([np.ones(len(inputs)), others])
+        coefficients = np.linalg.lstsq(table, inputs[:, j], rcond=None)[0]
+        alone = float(np.std(inputs[:, j] - table @ coefficients))
+        if alone < ALONE * float(np.std(inputs[:, j])):
+            together.append(name)
+    if not together:
+        return None
+    hold = ground.holding.samples * ground.session.period
+    return MovedTogether(tuple(together), hold)
 
 
 def usual_profile(plant: type[Plant], level: FloatArray, samples: int) -> FloatArray:

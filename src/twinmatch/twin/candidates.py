@@ -92,7 +92,7 @@ def name_at(point: OperatingPoint, plant: type[Plant]) -> str:
         ]
         values = tuple(value + 0.0 for value in shown)  # which makes minus zero zero
     return ", ".join(
-        f"{value:g} {output.unit}"
+        f"{value:g} {output.unit}".rstrip()
         for value, output in zip(values, outputs, strict=True)
     )
 

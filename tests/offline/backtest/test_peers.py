@@ -17,8 +17,7 @@ from tests.support.places import OTHERS
 from twinmatch.cli import main
 from twinmatch.dynamics import Experiment
 from twinmatch.fitting import fit_structure
-from twinmatch.forecasting import Arx, ArxForecast, baselines
-from twinmatch.forecasting.baselines import MAX_ORDER
+from twinmatch.fitting.arx import MAX_ORDER, Arx, ArxForecast, simulate_arx
 from twinmatch.importing import open_any
 from twinmatch.offline.backtest import Backtest, Choices, Listener, graded
 from twinmatch.offline.judging import judge, terms_from_files
@@ -87,7 +86,7 @@ def test_the_least_squares_and_their_aicc_are_those_of_statsmodels(
 def test_rows_that_cannot_be_written_need_no_kernel_of_their_own() -> None:
     u, y = second_order(400, 0.05, 3)
     model = fitted(y[:, None], u[:, None])
-    kernel = baselines.simulate_arx
+    kernel = simulate_arx
     ahead = u[:20].copy()
     written = model.forecast(ahead, None)
     compiled_count = len(kernel.signatures)
