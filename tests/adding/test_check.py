@@ -230,6 +230,42 @@ def test_what_is_wrong_is_reported(
     assert all(finding.todo for finding in checked.findings)
 
 
+class FastAndSlow(Plant, name="fast_and_slow"):
+    """Oxygen that follows within seconds, beside a level that takes hours."""
+
+    oxygen = Output(unit="%", noise=0.05, span=(-50.0, 50.0))
+    level = Output(unit="m", noise=0.02, span=(-50.0, 50.0))
+    air = Drive(unit="1", limits=(0.0, 1.0), noise=0.01)
+    water = Drive(unit="1", limits=(0.0, 1.0), noise=0.01)
+    gas = State(unit="%", span=(-50.0, 50.0))
+    drum = State(unit="m", span=(-50.0, 50.0))
+    quick = Parameter(unit="s", default=5.0, bounds=(1.0, 25.0), positive=True)
+    slow = Parameter(unit="s", default=11e3, bounds=(1e3, 1e5), positive=True)
+    ratio = Parameter(unit="1", default=1.0, bounds=(0.1, 10.0), positive=True)
+    structures = {  # noqa: RUF012
+        "lags": Structure(free=("quick", "slow")),
+        "lags and ratio": Structure(free=("quick", "slow", "ratio")),
+    }
+
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+        rates = {
+            self.gas: (18.0 * self.air - self.gas) / (self.quick * self.ratio),
+            self.drum: (20.0 * self.water - self.drum) / self.slow,
+        }
+        return Equations(
+            rates=rates,
+            output={self.oxygen: self.gas, self.level: self.drum},
+            start={self.gas: self.oxygen, self.drum: self.level},
+        )
+
+
+def test_a_lag_that_is_over_before_the_slowest_has_begun_is_seen() -> None:
+    """Sampled by the slowest time constant, "the output does not depend on" a lag of 5 s."""
+    assert inseparable(FastAndSlow.model("lags")) == []
+    (finding,) = inseparable(FastAndSlow.model("lags and ratio"))
+    assert "ratio and quick separately" in finding.what
+
+
 @pytest.mark.parametrize("period", [None, 10.0])
 def test_a_stiff_plant_is_usable(tmp_path: Path, period: float | None) -> None:
     """A block of 1e5 s behind a shell of 3 s: its trial takes shorter samples than the block needs."""

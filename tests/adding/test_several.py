@@ -104,6 +104,79 @@ def test_gains_and_lags_of_several_loops_are_near_the_truth(tmp_path: Path) -> N
         assert output.signal.unit == "°C"
 
 
+def two_stores(path: Path) -> Path:
+    """Two stores that heaters switch about, and that lose next to nothing: neither shows where it would rest."""
+    random = np.random.default_rng(8)
+    heats = np.repeat(random.integers(0, 2, (2, 80)), 30, axis=1).astype(np.float64)
+    noise = 0.05 * random.standard_normal((2, 2400))
+    heated = heats - np.mean(heats, axis=1, keepdims=True)
+    readings = np.cumsum(np.array([[0.1], [0.2]]) * heated, axis=1) + noise
+    return written(path, {
+        "time (s)": 60.0 * np.arange(2400.0),
+        "room (degC)": 20.0 + readings[0],
+        "water (degC)": 48.0 + readings[1],
+        "heating": heats[0],
+        "boiler": heats[1],
+    })  # fmt: skip
+
+
+def test_lags_that_the_recording_does_not_show_set_no_period_and_are_not_fitted(
+    tmp_path: Path,
+) -> None:
+    """A house of two such stores got a period of 2000 s by a lag of 130 000 s, and no match with any."""
+    words = ["time=time", "output.1=room", "output.2=water"]
+    words += ["input.1=heating", "input.2=boiler"]
+    proposal = propose_several(
+        open_table(two_stores(tmp_path / "house.csv")), parse_map(words)
+    )
+    assert [output.rests for output in proposal.outputs] == [False, False]
+    assert proposal.period == 60.0
+    of_water = next(note for note in proposal.notes if "which level water" in note)
+    assert "under constant inputs" in of_water
+    assert "without `- self.inner_2`" in of_water
+    text = files_of("two_stores", proposal)["two_stores.py"]
+    free = re.search(r"free=\(([^)]*)\)", text)
+    assert free is not None
+    assert "gain_2_2" in free[1]
+    assert "lag" not in free[1]
+    # each heater alone moves its store, by its rate: gain / lag
+    for output, number, rate in zip(proposal.outputs, (0, 1), (0.1, 0.2), strict=True):
+        assert output.gains[number] / output.lag * 60.0 == pytest.approx(rate, rel=0.1)
+
+
+def test_a_lag_under_random_steps_is_near_the_truth_with_readings_that_are_noisy(
+    tmp_path: Path,
+) -> None:
+    """Blocks of rows are long where readings are noisy: what an input did in the second of two blocks passed
+    for a way back, and a lag of 600 s for 340 s."""
+    random = np.random.default_rng(5)
+    inputs = np.repeat(random.integers(0, 2, (2, 80)), 30, axis=1).astype(np.float64)
+    noise = 0.25 * random.standard_normal(2400)
+    columns = {
+        "time (s)": np.arange(2400.0),
+        "warm (degC)": lagged(20 + 60 * inputs[0], 600.0, 50.0, 1) + noise,
+        "cold (degC)": lagged(20 - 60 * inputs[1], 600.0, -10.0, 2) + noise,
+        "heater": inputs[0],
+        "cooler": inputs[1],
+    }
+    words = ["time=time", "output.1=warm", "output.2=cold"]
+    words += ["input.1=heater", "input.2=cooler"]
+    path = written(tmp_path / "both.csv", columns)
+    proposal = propose_several(open_table(path), parse_map(words))
+    for output in proposal.outputs:
+        assert output.rests
+        assert output.lag == pytest.approx(600.0, rel=0.15)
+
+
+def test_a_fitted_lag_is_one_that_the_recording_shows(tmp_path: Path) -> None:
+    proposal = propose_several(
+        open_table(two_zones(tmp_path / "zones.csv")), parse_map(ZONES)
+    )
+    assert all(output.rests for output in proposal.outputs)
+    text = files_of("two_lags", proposal)["two_lags.py"]
+    assert text.count('"lag_') == 2
+
+
 def test_the_files_of_several_loops_have_no_findings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -56,12 +56,12 @@ class _ModelBlocks(Rule):
 
     fewest: int = 20
     """Fewest of them."""
-    sure: float = 3.0
-    """Standard errors by which the way back to a rest differs from none."""
     moves: float = 5.0
     """Standard deviation of the changes from block to block, in those of the noise, that shows the plant."""
 
 
+SURELY_RESTS: Final = 3.0
+"""Standard errors from which the way back to a rest differs from none."""
 _BLOCKS: Final = _ModelBlocks()
 
 
@@ -213,9 +213,8 @@ def propose(
     noise, model = _estimated(resampled, disturbance_names, centre)
     if around is not None:
         model = model._replace(rest=float(around.values.mean()))
-    # a lag that is not known says nothing of how fast the output answers
     duration = reading.size * resampled.period
-    lag_of_period = model.lag if model.rests else duration * _OF_AN_INTEGRATOR
+    lag_of_period = lag_of_answer(model.lag, duration, rests=model.rests)
     period = signal_map.period or usual_period(lag_of_period, resampled.period)
     drive_from_centre = [limit - centre for limit in drive_range]
     output_range = _output_range(reading, drive_from_centre, model)
@@ -238,7 +237,7 @@ def propose(
         bridge=bridge,
         notes=(
             *notes_on_table(table, sources, times),
-            *_note_on_integration(model, output_name, input_name),
+            *_notes_on_integration(model, output_name, input_name),
             *note_on_period(lag_of_period, resampled.period, period),
         ),
     )
@@ -298,15 +297,31 @@ def notes_on_table(
     return (*table.notes, *notes_on_readings(table, sources), *of_times)
 
 
-def _note_on_integration(model: _FirstOrder, output: str, drive: str) -> list[str]:
+def lag_of_answer(lag: float, duration: float, *, rests: bool) -> float:
+    """The time in which an output answers, s: its `lag`, unless the recording, which lasts `duration` s, does
+    not show it. A lag that is not known says nothing of how fast an output answers."""
+    return lag if rests else duration * _OF_AN_INTEGRATOR
+
+
+def _notes_on_integration(model: _FirstOrder, output: str, drive: str) -> list[str]:
     """A note where the output seems to move on as long as the input acts."""
     if model.rests:
         return []
-    return [
-        f"The recording does not show at which level {output} would rest under a constant {drive}: the lag of "
-        f"{model.lag:.3g} s is a guess. If {output} moves on as long as {drive} acts, as an angle does, write its "
-        "rate without `- self.inner`."
-    ]
+    return [note_on_integration(output, [drive], model.lag, "inner")]
+
+
+def note_on_integration(
+    output: str, drives: Sequence[str], lag: float, state: str
+) -> str:
+    """A note on an output that seems to move on as long as what drives it acts; `state` is its state."""
+    constant, acting = "constant inputs", "its inputs act"
+    if len(drives) == 1:
+        constant, acting = f"a constant {drives[0]}", f"{drives[0]} acts"
+    return (
+        f"The recording does not show at which level {output} would rest under {constant}: the lag of "
+        f"{lag:.3g} s is a guess. If {output} moves on as long as {acting}, as an angle does, write its "
+        f"rate without `- self.{state}`."
+    )
 
 
 def note_on_period(lag: float, row_period: float, period: float) -> list[str]:
@@ -559,7 +574,7 @@ def _first_order(
             signal[:whole].reshape(-1, block).mean(axis=1)
             for signal in (reading, drive, *disturbances)
         ]
-        model = _of_blocks(means, noise / math.sqrt(block), block * period)
+        model = _of_blocks(means, noise / math.sqrt(block), block, period)
         if model is not None:
             return model
     span = float(np.ptp(reading)) or 1.0
@@ -568,20 +583,19 @@ def _first_order(
 
 
 def _of_blocks(
-    means: Sequence[FloatArray], noise: float, period: float
+    means: Sequence[FloatArray], noise: float, block: int, period: float
 ) -> _FirstOrder | None:
     """The model of means of the output, the input and disturbances over blocks, by least squares.
 
-    `noise` is that of the means, and `period` the length of a block, s. None if the output does not move
-    beyond its noise, or does not tend to where the input has it.
+    `noise` is that of the means, `block` the rows in a block, and `period` that of the rows, s. None if the
+    output does not move beyond its noise, or does not tend to where the input has it.
     """
     before = means[0][:-1]
     changes = means[0][1:] - before
     if np.std(changes) < _BLOCKS.moves * noise:
         return None
-    table = np.column_stack(
-        [np.ones(before.size), before, *(signal[:-1] for signal in means[1:])]
-    )
+    acting = [between_blocks(signal, block) for signal in means[1:]]
+    table = np.column_stack([np.ones(before.size), before, *acting])
     coefficients = np.linalg.lstsq(table, changes, rcond=None)[0]
     constant, by_output, by_input, *_ = coefficients
     back = -float(by_output)
@@ -590,10 +604,19 @@ def _of_blocks(
     error = float(standard_errors(table, changes - table @ coefficients)[1])
     return _rounded_model(
         float(by_input) / back,
-        -period / math.log1p(-back),
+        -block * period / math.log1p(-back),
         float(constant) / back,
-        rests=back > _BLOCKS.sure * error,
+        rests=back > SURELY_RESTS * error,
     )
+
+
+def between_blocks(means: FloatArray, block: int) -> FloatArray:
+    """What acted from the middle of each block of rows of a signal to that of the next, of its means over
+    blocks; what one row says is held until the next.
+
+    With the means of the first of two blocks alone, what an input did in the second would pass for a way back.
+    """
+    return means[:-1] if block == 1 else (means[:-1] + means[1:]) / 2.0
 
 
 def _rounded_model(

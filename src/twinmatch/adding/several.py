@@ -15,13 +15,17 @@ import numpy as np
 
 from twinmatch.adding.noise import noise_of
 from twinmatch.adding.proposal import (
+    SURELY_RESTS,
     Around,
     Signal,
     around_of,
+    between_blocks,
     by_names_in_file,
     centre_of,
     disturbance_signals,
     is_signal,
+    lag_of_answer,
+    note_on_integration,
     note_on_period,
     notes_on_table,
     on_one_clock,
@@ -34,6 +38,7 @@ from twinmatch.adding.proposal import (
     without_spikes,
 )
 from twinmatch.importing.mapped import require_columns, times_of, with_titles
+from twinmatch.importing.pairs import standard_errors
 from twinmatch.importing.resampling import usual_period
 from twinmatch.importing.tables import Table
 from twinmatch.sampling.sources import SignalMap, SignalSource
@@ -43,6 +48,9 @@ __all__ = ["LaggedOutput", "SeveralProposal", "has_several", "propose_several"]
 
 _FEWEST_BLOCKS = 20
 """Fewest blocks per coefficient of a model."""
+_LONGEST_GUESS = 0.5
+"""Longest lag that is guessed, as a share of the recording: with longer ones, a rest and the gains of inputs that
+are mostly on hardly differ."""
 _MOVES = 5.0
 """Standard deviation of the changes from block to block, in those of the noise, that shows the plant."""
 
@@ -57,6 +65,8 @@ class LaggedOutput:
     """Steady-state gain of each input."""
     lag: float
     """Time constant, s."""
+    rests: bool
+    """Whether the samples show that it tends to a steady state; without that, the lag is a guess."""
     rest: float
     """Steady-state output with the inputs at their centres; with `around`, its excess over that."""
     around: Signal | None
@@ -153,7 +163,8 @@ def propose_several(
                 around=around,
             )
         )
-    fastest = min(output.lag for output in outputs)
+    duration = columns[names.outputs[0]].size * resampled.period
+    fastest = min(lag_of_answer(y.lag, duration, rests=y.rests) for y in outputs)
     period = signal_map.period or usual_period(fastest, resampled.period)
     return SeveralProposal(
         outputs=tuple(outputs),
@@ -167,6 +178,7 @@ def propose_several(
         bridge=bridge,
         notes=(
             *notes_on_table(table, sources, times),
+            *_notes_on_integration(outputs, inputs),
             *note_on_period(fastest, resampled.period, period),
         ),
     )
@@ -202,6 +214,18 @@ class _NamesByRole(NamedTuple):
         return cls(outputs, inputs, [name for name in names if name not in others])
 
 
+def _notes_on_integration(
+    outputs: Sequence[LaggedOutput], inputs: Sequence[Signal]
+) -> list[str]:
+    """A note for each output that seems to move on as long as its inputs act."""
+    drives = [u.name for u in inputs]
+    return [
+        note_on_integration(output.signal.name, drives, output.lag, f"inner_{number}")
+        for number, output in enumerate(outputs, 1)
+        if not output.rests
+    ]
+
+
 class _Drive(NamedTuple):
     """An input, counted from its centre."""
 
@@ -225,39 +249,58 @@ def _lagged(
     noise = noise_of(reading, [*commanded, *measured])
     quiet = without_spikes(reading, noise)
     excess = quiet if around is None else quiet - around.values
-    gains, lag, rest = _first_order(excess, commanded, noise, period)
+    model = _first_order(excess, commanded, noise, period)
     reach = float(np.ptp(reading)) or 1.0
     level = 0.0 if around is None else float(around.values.mean())
     effects = [
         (gain * drive.low, gain * drive.high)
-        for gain, drive in zip(gains, drives, strict=True)
+        for gain, drive in zip(model.gains, drives, strict=True)
     ]
     # All inputs may stand at the ends that move the output the same way.
-    lowest = level + rest + sum(min(ends) for ends in effects)
-    highest = level + rest + sum(max(ends) for ends in effects)
+    lowest = level + model.rest + sum(min(ends) for ends in effects)
+    highest = level + model.rest + sum(max(ends) for ends in effects)
     low = min(float(reading.min()), lowest) - reach
     high = max(float(reading.max()), highest) + reach
     low, high = round_out(low, high)
     return LaggedOutput(
         signal._replace(low=low, high=high),
         noise,
-        tuple(rounded(gain) for gain in gains),
-        rounded(lag),
-        rounded(rest, 3),
+        tuple(rounded(gain) for gain in model.gains),
+        rounded(model.lag),
+        model.rests,
+        rounded(model.rest, 3),
         None if around is None else around.signal,
     )
 
 
+class _FirstOrder(NamedTuple):
+    """The lag of an output that several inputs move."""
+
+    gains: list[float]
+    lag: float
+    """s"""
+    rest: float
+    rests: bool
+    """Whether the samples show that it tends to a steady state."""
+
+    def with_lag(self, lag: float, middle: float) -> _FirstOrder:
+        """The model with another lag and the same rates about the `middle` of its output."""
+        share = lag / self.lag
+        gains = [share * gain for gain in self.gains]
+        rest = middle + share * (self.rest - middle)
+        return self._replace(gains=gains, lag=lag, rest=rest)
+
+
 def _first_order(
     output: FloatArray, inputs: Sequence[FloatArray], noise: float, period: float
-) -> tuple[list[float], float, float]:
-    """Gains, lag, s, and rest of the difference equation, of the shortest blocks that show it.
+) -> _FirstOrder:
+    """The model of the difference equation, of the shortest blocks that show it.
 
     If none do, the gains are a share of the ranges, and the lag a tenth of the recording.
     """
-    coefficients = 2 + len(inputs)
+    unknowns = 2 + len(inputs)
     for block in (2**k for k in range(12)):
-        if output.size < _FEWEST_BLOCKS * coefficients * block:
+        if output.size < _FEWEST_BLOCKS * unknowns * block:
             break
         whole = output.size - output.size % block
         means = [
@@ -268,16 +311,23 @@ def _first_order(
         changes = np.diff(means[0])
         if np.std(changes) < _MOVES * noise / math.sqrt(block):
             continue
-        table = np.column_stack(
-            [np.ones(before.size), before, *(signal[:-1] for signal in means[1:])]
-        )
-        constant, by_output, *by_input = np.linalg.lstsq(table, changes, rcond=None)[
-            0
-        ].tolist()
+        acting = [between_blocks(signal, block) for signal in means[1:]]
+        table = np.column_stack([np.ones(before.size), before, *acting])
+        coefficients = np.linalg.lstsq(table, changes, rcond=None)[0]
+        constant, by_output, *by_input = coefficients.tolist()
         back = -by_output
         if 0.0 < back < 1.0:
             lag = -block * period / math.log1p(-back)
-            return [effect / back for effect in by_input], lag, constant / back
+            error = float(standard_errors(table, changes - table @ coefficients)[1])
+            model = _FirstOrder(
+                [effect / back for effect in by_input],
+                lag,
+                constant / back,
+                rests=back > SURELY_RESTS * error,
+            )
+            longest = _LONGEST_GUESS * output.size * period
+            middle = float(output.mean())
+            return model if model.rests else model.with_lag(min(lag, longest), middle)
     reach = float(np.ptp(output)) or 1.0
     gains = [reach / (float(np.ptp(drive)) or 1.0) / len(inputs) for drive in inputs]
-    return gains, 0.1 * output.size * period, float(output[0])
+    return _FirstOrder(gains, 0.1 * output.size * period, float(output[0]), rests=False)

@@ -167,6 +167,16 @@ def trial_for(parameters: Parameters, period: float | None = None) -> Trial:
     return Trial(inputs, disturbances, period, middle_of(model))
 
 
+def trials_for(parameters: Parameters) -> list[Trial]:
+    """The experiment for the plant's slowest time constant, and further ones for those that end between two of
+    its samples: what such a time constant does shows in no sample of the first."""
+    trials = [trial_for(parameters)]
+    for lag in time_constants(parameters)[::-1].tolist():
+        if lag < trials[-1].period:
+            trials.append(trial_for(parameters, lag / _COURSE.per_lag))
+    return trials
+
+
 def affordable(parameters: Parameters, period: float) -> float:
     """The longest of a period and its halves of which a sample does not take too many steps, s."""
     for shorter in period * 0.5 ** np.arange(_COURSE.halvings):
@@ -300,19 +310,23 @@ def _combinations(parameters: Parameters, free: tuple[str, ...]) -> list[_Combin
 def _weighted_tangents(
     parameters: Parameters, free: tuple[str, ...]
 ) -> tuple[FloatArray, float]:
-    """Tangents of all outputs, one below the other in units of the first one's noise, and that noise.
+    """Tangents of all outputs in all trials, one below the other in units of the first one's noise, and that
+    noise.
 
     Raises:
         PlantError: a sensitivity is not finite.
     """
     model = parameters.model
-    _, window = run_trial(parameters, trial_for(parameters))
-    experiment = Experiment(
-        parameters, free, window, free_starts=model.structure.free_starts, law=None
-    )
     noise = np.array([y.noise for y in model.plant.outputs.values()])
-    by_output = experiment.tangents(experiment.values_of(parameters)).by[: noise.size]
-    tangents = np.concatenate(by_output * (noise[0] / noise)[:, None, None])
+    rows = []
+    for trial in trials_for(parameters):
+        _, window = run_trial(parameters, trial)
+        experiment = Experiment(
+            parameters, free, window, free_starts=model.structure.free_starts, law=None
+        )
+        by_signal = experiment.tangents(experiment.values_of(parameters)).by
+        rows += [*(by_signal[: noise.size] * (noise[0] / noise)[:, None, None])]
+    tangents = np.concatenate(rows)
     if not np.isfinite(tangents).all():
         raise PlantError(
             f"{model.title}: the sensitivities of its output are not finite"

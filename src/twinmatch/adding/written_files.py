@@ -172,7 +172,8 @@ def _several(name: str, proposal: SeveralProposal) -> dict[str, Any]:
     free = []
     for number, output in enumerate(outputs, 1):
         free += [
-            f"lag_{number}",
+            # what the whole recording does not show, no window of it determines
+            *([f"lag_{number}"] if output["rests"] else []),
             f"rest_{number}",
             *(gain["name"] for gain in output["gains"]),
         ]
@@ -212,12 +213,16 @@ def _output(
             }
         )
     low, high = (-reach, reach) if output.around else (y.low, y.high)
+    # without inputs it may rest beyond what their limits allow
+    low = min(low, output.rest - reach / 10)
+    high = max(high, output.rest + reach / 10)
     return {
         "number": number,
         "y": y,
         "noise": output.noise,
         "absolute": _ABSOLUTE.get(y.unit),
         "lag": output.lag,
+        "rests": output.rests,
         "lag_low": rounded(output.lag / _WIDE),
         "lag_high": rounded(output.lag * _WIDE),
         "rest": output.rest,
