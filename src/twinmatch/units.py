@@ -188,6 +188,11 @@ def _measured(plain: str) -> Measure:
     return Measure(powers, factor, offset=offset)
 
 
+def of_temperature(unit: str) -> str:
+    """The unit that a temperature's column means: °C for `C`, which is a coulomb elsewhere; others as they are."""
+    return _COLUMN_WORDS.get(unit.strip(), unit)
+
+
 @lru_cache(maxsize=256)
 def conversion(unit: str, wanted: str) -> Conversion:
     """Conversion from one unit to another.
@@ -198,8 +203,8 @@ def conversion(unit: str, wanted: str) -> Conversion:
     if _plain(unit) == _plain(wanted):
         return Conversion()
     if _TEMPERATURE in (measure(unit).dimension, measure(wanted).dimension):
-        unit = _COLUMN_WORDS.get(unit.strip(), unit)
-        wanted = _COLUMN_WORDS.get(wanted.strip(), wanted)
+        unit = of_temperature(unit)
+        wanted = of_temperature(wanted)
     source = measure(unit)
     target = measure(wanted)
     if not (source.known and target.known) or source.dimension != target.dimension:

@@ -14,6 +14,7 @@ import pytest
 from tests.support.literature import (
     Recorded,
     evaporator,
+    furnace,
     quadruple_tank,
     three_tanks,
 )
@@ -518,3 +519,55 @@ def test_a_short_stretch_is_left_out_with_a_note(
         in shown
     )
     assert "each structure fitted to 900 of 961 samples" in shown
+
+
+def guessed(path: Path) -> dict[str, str]:
+    table = open_table(path)
+    sources = proposed(columns_of(table), table)
+    return {name: source.text for name, source in sources.items()}
+
+
+def test_a_number_in_its_name_makes_no_input_of_a_reading(tmp_path: Path) -> None:
+    """L2 shares its number with P2, but steam and coolant are what moves in steps."""
+    recorded = evaporator()
+    titles = ["time (min)", "L2 (m)", "X2 (%)", "P2 (kPa)"]
+    titles += ["F2 (kg/min)", "P100 (kPa)", "F200 (kg/min)"]
+    columns = [np.arange(600.0), *recorded.outputs.T, *recorded.inputs.T]
+    path = written(tmp_path / "log.csv", dict(zip(titles, columns, strict=True)))
+    assert guessed(path) == {
+        "time": "time (min)",
+        "output": "P2 (kPa)",
+        "input": "P100 (kPa)",
+    }
+
+
+def test_where_nothing_moves_in_steps_a_temperature_moves_no_other(
+    tmp_path: Path,
+) -> None:
+    recorded = furnace()
+    titles = ["time (min)", "Crown1 (degC)", "Crown2 (degC)", "Crown3 (degC)"]
+    titles += ["Gas1 (%)", "Gas2 (%)", "Gas3 (%)"]
+    columns = [np.arange(1600.0), *recorded.outputs.T, *recorded.inputs.T]
+    path = written(tmp_path / "log.csv", dict(zip(titles, columns, strict=True)))
+    guess = guessed(path)
+    assert guess["output"].startswith("Crown")
+    assert guess["input"] == guess["output"].replace("Crown", "Gas").replace(
+        "degC", "%"
+    )
+
+
+def test_what_no_input_moves_is_a_disturbance(tmp_path: Path) -> None:
+    """The temperature outside varies most, and was taken for what is heated."""
+    random = np.random.default_rng(4)
+    heating = np.repeat(random.integers(0, 2, 40), 50).astype(np.float64)
+    outside = np.round(8.0 + np.cumsum(0.1 * random.standard_normal(2000)), 1)
+    path = written(tmp_path / "log.csv", {
+        "time (s)": np.arange(2000.0),
+        "Temp A (degC)": np.round(lagged(15 + 5 * heating + 0.1 * outside, 90.0, 16.0, 2), 1),
+        "Temp B (degC)": outside,
+        "heating": heating,
+    })  # fmt: skip
+    guess = guessed(path)
+    assert guess["output"] == "Temp A (degC)"
+    assert guess["input"] == "heating"
+    assert guess["room"] == "Temp B (degC)"

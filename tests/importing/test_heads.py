@@ -10,6 +10,7 @@ import pytest
 
 from twinmatch.importing.column_map import columns_of, proposed
 from twinmatch.importing.stacked import taken_apart
+from twinmatch.importing.table_files import open_table
 from twinmatch.importing.tables import Table, read_table, split_title
 from twinmatch.sessions.files import RecordingError
 from twinmatch.units import quantity_in
@@ -254,6 +255,12 @@ def test_what_stands_for_no_value_is_a_gap(tmp_path: Path, word: str) -> None:
         ("[°C] Probe 1", ("Probe 1", "°C")),
         ("Temperature 1 (degC)", ("Temperature 1", "degC")),
         ("(first) probe", ("(first) probe", "")),
+        ("hot water °C", ("hot water", "°C")),
+        ("oxygen_%", ("oxygen", "%")),
+        ("T degC", ("T", "degC")),
+        ("pressure of C", ("pressure of C", "")),
+        ("number %1", ("number %1", "")),
+        ("50 %", ("50 %", "")),
         ("Flow, cold side (l/min)", ("Flow, cold side", "l/min")),
     ],
 )
@@ -412,3 +419,21 @@ def test_what_reads_the_output_is_not_an_input(tmp_path: Path) -> None:
     rows = [f"{row},{k % 7}" for k, row in enumerate(rows)]
     table = table_of(tmp_path, "time,Sample,Max,Average,other", *rows)
     assert proposed(columns_of(table), table)["input"].text == "other"
+
+
+def test_the_unit_of_a_time_is_listed_as_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t_ms,volt_ms,T\n0,3,20\n10,1,21\n20,2,22\n30,1,20\n")
+    columns = columns_of(open_table(path))
+    assert [column.unit for column in columns] == ["ms", "", ""]
+
+
+def test_a_temperature_in_c_is_measured_and_no_input(tmp_path: Path) -> None:
+    """A C is a coulomb elsewhere, and the temperature was taken for a number like any other."""
+    path = tmp_path / "log.csv"
+    rows = [f"{k},{20 + k % 7},{k % 5}" for k in range(40)]
+    path.write_text("\n".join(["time (s),core (C),chopper", *rows]) + "\n")
+    table = open_table(path)
+    sources = proposed(columns_of(table), table)
+    assert sources["output"].text == "core (C)"
+    assert sources["input"].text == "chopper"

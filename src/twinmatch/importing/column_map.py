@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -18,13 +19,13 @@ from twinmatch.importing.dates import is_two_numbers
 from twinmatch.importing.pairs import moving, share_a_word, shared_words
 from twinmatch.importing.stacked import SeriesTable
 from twinmatch.importing.tables import Table, split_title
-from twinmatch.importing.times import Times, read_times
+from twinmatch.importing.times import Times, read_times, unit_in
 from twinmatch.sampling.sources import SignalMap, SignalSource, source_of
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.files import RecordingError
 from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
-from twinmatch.units import measure
+from twinmatch.units import measure, of_temperature
 
 
 class _MapFile(msgspec.Struct, forbid_unknown_fields=True):
@@ -196,10 +197,15 @@ def _series(table: SeriesTable, title: str) -> Column:
 
 
 def _column(table: Table, title: str) -> Column:
-    try:
-        return described(title, table.unit(title), table.values(title), ordered=True)
-    except TwinmatchError:
-        pass
+    with suppress(TwinmatchError):
+        unit = table.unit(title)
+        column = described(title, unit, table.values(title), ordered=True)
+        # as the import reads it
+        return (
+            column._replace(unit=unit or unit_in(title))
+            if column.kind == "time"
+            else column
+        )
     try:
         times = _read_any_times(table, title)
     except TwinmatchError:
@@ -332,6 +338,8 @@ def proposed(
     if table is not None and "output" not in chosen and "room" in chosen:
         chosen["output"] = chosen.pop("room")
     _pair_by_name(columns, chosen)
+    if table is not None:
+        _replace_unmoved(columns, chosen, table)
     if seen_by_controller(
         columns, {signal: SignalSource((c.title,)) for signal, c in chosen.items()}
     ):
@@ -385,6 +393,40 @@ def _replace_copy(
             return
 
 
+def _replace_unmoved(
+    columns: Sequence[Column], chosen: dict[str, Column], table: Table
+) -> None:
+    """Take another output where the input moves that one, and not the one that was taken.
+
+    One of the same kind that no input moves, such as a temperature outside, is a disturbance.
+    """
+    output = chosen.get("output")
+    drive = chosen.get("input")
+    if output is None or drive is None or isinstance(table, SeriesTable):
+        return
+    others = [
+        column
+        for signal, candidates in _candidates(columns)
+        if signal == "output"
+        for column in candidates
+        if column not in chosen.values()
+        and column.kind == "numbers"
+        and not _may_be_commanded(column)
+        and column.unit == output.unit
+    ]
+    if not others or _is_moved(table, output, drive):
+        return
+    moved = next((c for c in others if _is_moved(table, c, drive)), None)
+    if moved is not None:
+        chosen["output"] = moved
+        chosen.setdefault("room", output)
+
+
+def _is_moved(table: Table, output: Column, drive: Column) -> bool:
+    """Whether an output moves with an input."""
+    return moving(table.values(output.title), [table.values(drive.title)])[0]
+
+
 def _is_copy(table: Table, title: str, of_title: str) -> bool:
     """Whether a column differs little from another one in each row."""
     try:
@@ -418,7 +460,32 @@ def _pair_by_name(columns: Sequence[Column], chosen: dict[str, Column]) -> None:
         ]
         others = [chosen[name] for name in chosen if name != signal]
         free = [column, *(c for c in of_signal if c not in others)]
+        if signal == "input":
+            free = _as_likely(free)
         chosen[signal] = _most_alike(output, free)
+
+
+def _as_likely(inputs: Sequence[Column]) -> list[Column]:
+    """The inputs that are as likely as the first: a number in its name makes no input of a reading, as L2 is one
+    beside P2."""
+    first = inputs[0]
+    is_likely = _may_be_commanded(first)
+    measured = _of_units(inputs)
+    return [
+        column
+        for column in inputs
+        if _may_be_commanded(column) >= is_likely
+        and (column not in measured or first in measured)
+    ]
+
+
+def _may_be_commanded(column: Column) -> bool:
+    """Whether a column is called an input, or holds its values as one."""
+    return (
+        column.stepped
+        or column.kind == "on or off"
+        or _INPUT.search(column.short_name) is not None
+    )
 
 
 def _most_alike(output: Column, columns: Sequence[Column]) -> Column:
@@ -597,6 +664,7 @@ def _candidates(columns: Sequence[Column]) -> list[tuple[str, list[Column]]]:
             [column for column in numbers if column.different <= _COMMANDED.different],
         ),
         ("output", _liveliest(numbers)),
+        ("input", [column for column in numbers if column not in measured]),
         ("input", numbers),
     ]
 
@@ -651,7 +719,7 @@ def _of_units(columns: Sequence[Column]) -> list[Column]:
         for column in columns
         if column.kind == "numbers"
         and column.unit
-        and measure(column.unit).dimension in temperature_and_pressure
+        and measure(of_temperature(column.unit)).dimension in temperature_and_pressure
     ]
 
 

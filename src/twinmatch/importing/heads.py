@@ -38,6 +38,8 @@ _TITLE: Final = re.compile(
 )
 _UNIT_FIRST: Final = re.compile(r"[(\[](?P<unit>[^()\[\]]+)[)\]]\s*(?P<name>\S.*)")
 """A title with its unit before the name, as in `[°C] Probe 1`."""
+_UNIT_THAT_SHOWS: Final = re.compile(r"[°º℃℉]\S{0,8}|%(?:rh)?|deg[cf]", re.IGNORECASE)
+"""A unit that no title ends with for another reason, so that it needs no brackets."""
 _LABELLED: Final = re.compile(r"[^:]*[^:\d\s][^:]*[:=]\s*[-+]?\d[\d.,]*\s*\S{0,5}")
 """A value behind its name, as in `Temp:20.5`."""
 FIRST_LINES: Final = 3
@@ -260,11 +262,23 @@ def split_title(title: str) -> tuple[str, str]:
 
 
 def _split_after_unit(title: str) -> tuple[str, str]:
-    """Name and unit of a column whose unit stands first; no unit if it has another form."""
+    """Name and unit of a column whose unit stands first; as `_split_before_unit` if it has another form."""
     match = _UNIT_FIRST.fullmatch(title)
     if match is None or not measure(match["unit"].strip()).known:
-        return title, ""
+        return _split_before_unit(title)
     return match["name"], match["unit"].strip()
+
+
+def _split_before_unit(title: str) -> tuple[str, str]:
+    """Name and unit of a column that ends with a unit without brackets, as `room °C` does; no unit if it has
+    another form."""
+    name, _, unit = title.replace("_", " ").rpartition(" ")
+    has_letters = any(character.isalpha() for character in name)
+    if not has_letters or _UNIT_THAT_SHOWS.fullmatch(unit) is None:
+        return title, ""
+    return (
+        (title[: len(name)].rstrip(" _"), unit) if measure(unit).known else (title, "")
+    )
 
 
 def with_units(titles: list[str], cells: list[list[str]]) -> tuple[list[str], int]:
