@@ -237,12 +237,26 @@ def ground_of(
     if len(plant.outputs) == len(plant.drives) == 1:
         return Ground(session, plant, terms_from_files(session, config, candidates))
     if len(plant.outputs) != len(plant.drives):
-        raise ControllerError(
-            f"plant {plant.name}: has {len(plant.outputs)} outputs and {len(plant.drives)} inputs; "
-            "controllers are tried on plants with as many inputs as outputs"
-        )
+        raise ControllerError(_unequal(plant))
     settings = terms_from_files(session, config, candidates).settings
     return Ground(session, plant, None, settings)
+
+
+def _unequal(plant: type[Plant]) -> str:
+    """That a plant has not as many inputs as outputs, and which part of it has."""
+    outputs = len(plant.outputs)
+    inputs = len(plant.drives)
+    if outputs > inputs:
+        part = f"write a plant of {inputs} of the outputs (twinmatch new-plant, the others left out of --map)"
+    else:
+        part = (
+            f"write a plant of {outputs} of the inputs, with the others as disturbances (twinmatch new-plant, "
+            "names of their own in --map)"
+        )
+    return (
+        f"plant {plant.name}: has {outputs} outputs and {inputs} inputs; controllers are tried, and what to "
+        f"record next is said, for as many inputs as outputs; {part} and import the recording with its map"
+    )
 
 
 def _faults_of_sensors(session: Session, settings: TwinSettings) -> tuple[LeftOut, ...]:
