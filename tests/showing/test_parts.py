@@ -16,7 +16,15 @@ from tests.support.plants import Motor
 from tests.support.rig import rig, run
 from twinmatch.comparing import Candidate, CandidateScore, OrderScore, Verdict, score
 from twinmatch.comparing.criteria import Criteria
-from twinmatch.dynamics import Plant
+from twinmatch.dynamics import (
+    Drive,
+    Equations,
+    Output,
+    Parameter,
+    Plant,
+    State,
+    Structure,
+)
 from twinmatch.forecasting import Band, Forecast
 from twinmatch.offline.judging import Judgement, judge_samples
 from twinmatch.offline.summary import summarise
@@ -81,6 +89,33 @@ def test_parameters_are_shown_in_units_that_read_well() -> None:
     assert parameter_format(Peltier, "new_thing").text(1.0) == "1.0000"
     names = ("sink", "heat_capacity", "new_thing", "seebeck")
     assert in_order(Peltier, names) == ("seebeck", "heat_capacity", "sink", "new_thing")
+
+
+class OnOff(Plant, name="shown_on_off"):
+    """What a heater without a unit does to a temperature in °C is in kelvin, and may be less than nothing."""
+
+    warm = Output(unit="°C", noise=0.1, span=(-20.0, 150.0))
+    heater = Drive(unit="", limits=(0.0, 1.0), noise=0.01)
+    inner = State(unit="°C", span=(-20.0, 150.0))
+    gain = Parameter(unit="K", default=62.0, bounds=(-90.0, 90.0), relative=False)
+    room = Parameter(unit="K", default=296.0, bounds=(263.0, 323.0), relative=False)
+    structures = {"all": Structure(free=("gain", "room"))}  # noqa: RUF012
+
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+        steady = self.room - 273.15 + self.gain * self.heater
+        return Equations(
+            rates={self.inner: (steady - self.inner) / 60.0},
+            output=self.inner,
+            start={self.inner: self.warm},
+        )
+
+
+def test_a_rise_in_kelvin_is_not_shown_as_a_temperature() -> None:
+    """62 K was shown as -211.1 °C."""
+    gain = parameter_format(OnOff, "gain")
+    assert (gain.unit, gain.text(62.0)) == ("K", "62.0")
+    room = parameter_format(OnOff, "room")
+    assert (room.unit, room.shown(296.0)) == ("°C", pytest.approx(22.85))
 
 
 def test_another_plant_is_shown_as_it_declares_itself() -> None:

@@ -61,8 +61,10 @@ def parameter_format(plant: type[Plant], name: str) -> ParameterFormat:
         return ParameterFormat(name, name, "–", name, decimals=4)
     symbol = declared.symbol or name
     prefix, factor = _prefix(declared.unit, declared.scale)
-    # Where the output is in °C, absolute temperatures are shown in °C too.
-    difference = isinstance(declared, Parameter) and declared.relative
+    # Where the output is in °C, absolute temperatures are shown in °C too; none is below zero kelvin.
+    difference = isinstance(declared, Parameter) and (
+        declared.relative or declared.bounds[0] < 0.0
+    )
     celsius = (
         declared.unit == "K"
         and not difference
