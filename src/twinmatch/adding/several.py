@@ -273,7 +273,7 @@ def _lagged(
     )
 
 
-class _FirstOrder(NamedTuple):
+class _LaggedOutput(NamedTuple):
     """The lag of an output that several inputs move."""
 
     gains: list[float]
@@ -283,7 +283,7 @@ class _FirstOrder(NamedTuple):
     rests: bool
     """Whether the samples show that it tends to a steady state."""
 
-    def with_lag(self, lag: float, middle: float) -> _FirstOrder:
+    def with_lag(self, lag: float, middle: float) -> _LaggedOutput:
         """The model with another lag and the same rates about the `middle` of its output."""
         share = lag / self.lag
         gains = [share * gain for gain in self.gains]
@@ -293,7 +293,7 @@ class _FirstOrder(NamedTuple):
 
 def _first_order(
     output: FloatArray, inputs: Sequence[FloatArray], noise: float, period: float
-) -> _FirstOrder:
+) -> _LaggedOutput:
     """The model of the difference equation, of the shortest blocks that show it.
 
     If none do, the gains are a share of the ranges, and the lag a tenth of the recording.
@@ -319,7 +319,7 @@ def _first_order(
         if 0.0 < back < 1.0:
             lag = -block * period / math.log1p(-back)
             error = float(standard_errors(table, changes - table @ coefficients)[1])
-            model = _FirstOrder(
+            model = _LaggedOutput(
                 [effect / back for effect in by_input],
                 lag,
                 constant / back,
@@ -330,4 +330,6 @@ def _first_order(
             return model if model.rests else model.with_lag(min(lag, longest), middle)
     reach = float(np.ptp(output)) or 1.0
     gains = [reach / (float(np.ptp(drive)) or 1.0) / len(inputs) for drive in inputs]
-    return _FirstOrder(gains, 0.1 * output.size * period, float(output[0]), rests=False)
+    return _LaggedOutput(
+        gains, 0.1 * output.size * period, float(output[0]), rests=False
+    )
