@@ -166,7 +166,7 @@ class Competition:
         )
         """The newest ones, of each drive, as distances from rest."""
         self._values = deque[FloatArray](
-            maxlen=round((_FOLLOWING.reach + 2.0 * EVERY) * self.second) + 3
+            maxlen=round((_FOLLOWING.reach + 4.0 * EVERY) * self.second) + 3
         )
         """The newest readings, of all outputs."""
         self.healthy.restart()
@@ -585,21 +585,25 @@ class Competition:
         return bool(knows.all() and not all_explained)
 
     def _has_jumped(self, suspect: Suspect) -> bool:
-        """Whether a reading that is said to be off has moved, where that began, by much of it at once, and
+        """Whether a reading that is said to be off has moved, about where that began, by much of it at once, and
         stayed there.
 
-        What moves on may be the plant, which the equations expected elsewhere.
+        What moves on may be the plant, which the equations expected elsewhere. An onset is known to four seconds;
+        a jump that came after it counts once it is seen whether the reading moves on.
         """
-        output = suspect.cause[1]
-        samples = max(1, round(EVERY * self.second)) + 1
-        begin = max(len(self._values) - (self.count - suspect.born) - 1, 0)
-        readings = np.array([values[output] for values in self._values])[begin:]
-        moved = np.sign(suspect.shift) * (readings - readings[0])
-        at_once = float(moved[: samples + 1].max())
-        afterwards = float(moved[samples : 2 * samples + 1].max(initial=0.0))
-        return (
-            at_once >= _AT_ONCE * abs(suspect.shift)
-            and afterwards < (1.0 + _AT_ONCE) * at_once
+        bout = max(1, round(EVERY * self.second))
+        samples = bout + 1
+        before_onset = max(len(self._values) - (self.count - suspect.born) - 1, 0)
+        readings = np.array([values[suspect.cause[1]] for values in self._values])
+        moved = np.sign(suspect.shift) * readings
+        last = min(before_onset + 2 * bout, moved.size - 2 * samples - 1)
+        begins = (
+            *range(max(before_onset - 2 * bout, 0), before_onset + 1),
+            *range(before_onset + 1, last + 1),
+        )
+        return any(
+            _jumps_at_once(moved[begin:] - moved[begin], abs(suspect.shift), samples)
+            for begin in begins
         )
 
     @property
@@ -704,3 +708,11 @@ class Competition:
             if suspect.cause != (Fault.SENSOR_DRIFT, output):
                 # its rehearsal does not use that sensor
                 rehearsal.drop()
+
+
+def _jumps_at_once(moved: FloatArray, off: float, samples: int) -> bool:
+    """Whether a reading moves within so many samples by much of what it is said to be off, and stays there;
+    `moved` is by how much it has moved since the first of them."""
+    at_once = float(moved[: samples + 1].max())
+    afterwards = float(moved[samples : 2 * samples + 1].max(initial=0.0))
+    return at_once >= _AT_ONCE * off and afterwards < (1.0 + _AT_ONCE) * at_once
