@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import random
-
 import numpy as np
 import pytest
 
+from tests.support.public_kit import public_kit
 from twinmatch.control import Controller
 from twinmatch.dynamics import law_of
 from twinmatch.health.channels import ChannelMonitor
@@ -27,10 +26,7 @@ def test_a_sensor_that_is_off_at_once_is_named_soon_and_nothing_before(
     seed: int,
 ) -> None:
     """The onset of what explains it best lies 4 samples before the jump with seed 22, and 3 behind it with 41."""
-    tclab = pytest.importorskip("tclab", reason="the kit's package is not installed")
-    random.seed(seed)
-    kit = tclab.TCLabModel(synced=False)
-    kit.tlast = 0.0
+    kit = public_kit(seed)
     monitor = ChannelMonitor(TCLabBoth.model(TCLabBoth.followed).typical(), 1.0)
     controller = Controller(law_of(TCLabBoth, 1.0))
     named = []

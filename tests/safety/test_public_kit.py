@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import random
-
 import numpy as np
 import pytest
 
 from tests.support.liar import RunTime
+from tests.support.public_kit import public_kit
 from twinmatch.control import Controller
 from twinmatch.dynamics import law_of
 from twinmatch.nodes.gated import OutputGate
@@ -22,10 +21,7 @@ HOLD = 450
 
 def test_heater_2_of_a_healthy_kit_reaches_its_set_point() -> None:
     """It was held 1 K below the last of them, as it was thought to heat by a fifth more."""
-    tclab = pytest.importorskip("tclab", reason="the kit's package is not installed")
-    random.seed(1)
-    kit = tclab.TCLabModel(synced=False)
-    kit.tlast = 0.0
+    kit = public_kit(1)
     clocks = RunTime()
     gate = OutputGate(clocks, TCLabBridge.guards_of_both(TCLabBridge.LIMITS))
     controller = Controller(law_of(TCLabBoth, 1.0))

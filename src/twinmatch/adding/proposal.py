@@ -43,28 +43,17 @@ from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times
 from twinmatch.sampling.sources import SignalMap, SignalSource
 from twinmatch.sessions.files import RecordingError
-from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 from twinmatch.units import is_unit, measure
 
 _SPIKE: Final = 10.0
 """Distance from the median of its neighbours, in noises, from which a reading is a spike."""
-
-
-class _ModelBlocks(Rule):
-    """Blocks of samples from which a model is estimated."""
-
-    fewest: int = 20
-    """Fewest of them."""
-    moves: float = 5.0
-    """Standard deviation of the changes from block to block, in those of the noise, that shows the plant."""
-
-
 SURELY_RESTS: Final = 3.0
 """Standard errors from which the way back to a rest differs from none."""
-_BLOCKS: Final = _ModelBlocks()
-
-
+MOVES: Final = 5.0
+"""Standard deviation of the changes from block to block, in those of the noise, that shows the plant."""
+_FEWEST_BLOCKS: Final = 20
+"""Fewest blocks of rows from which a model is estimated."""
 _MOST: Final = 1e100
 """Size from which squares of values are not numbers any longer."""
 _KNOWN: Final = ("time", "output", "input", "reference")
@@ -567,7 +556,7 @@ def _first_order(
 ) -> _FirstOrder:
     """The model of the difference equation, of the shortest blocks that show it; a guess if none do."""
     for block in (2**k for k in range(12)):
-        if reading.size < _BLOCKS.fewest * block:
+        if reading.size < _FEWEST_BLOCKS * block:
             break
         whole = reading.size - reading.size % block
         means = [
@@ -592,7 +581,7 @@ def _of_blocks(
     """
     before = means[0][:-1]
     changes = means[0][1:] - before
-    if np.std(changes) < _BLOCKS.moves * noise:
+    if np.std(changes) < MOVES * noise:
         return None
     acting = [between_blocks(signal, block) for signal in means[1:]]
     table = np.column_stack([np.ones(before.size), before, *acting])

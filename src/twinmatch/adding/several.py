@@ -15,6 +15,7 @@ import numpy as np
 
 from twinmatch.adding.noise import noise_of
 from twinmatch.adding.proposal import (
+    MOVES,
     SURELY_RESTS,
     Around,
     Signal,
@@ -51,8 +52,6 @@ _FEWEST_BLOCKS = 20
 _LONGEST_GUESS = 0.5
 """Longest lag that is guessed, as a share of the recording: with longer ones, a rest and the gains of inputs that
 are mostly on hardly differ."""
-_MOVES = 5.0
-"""Standard deviation of the changes from block to block, in those of the noise, that shows the plant."""
 
 
 @dataclass(frozen=True)
@@ -309,7 +308,7 @@ def _first_order(
         ]
         before = means[0][:-1]
         changes = np.diff(means[0])
-        if np.std(changes) < _MOVES * noise / math.sqrt(block):
+        if np.std(changes) < MOVES * noise / math.sqrt(block):
             continue
         acting = [between_blocks(signal, block) for signal in means[1:]]
         table = np.column_stack([np.ones(before.size), before, *acting])

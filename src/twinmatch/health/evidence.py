@@ -591,19 +591,17 @@ class Competition:
         What moves on may be the plant, which the equations expected elsewhere. An onset is known to four seconds;
         a jump that came after it counts once it is seen whether the reading moves on.
         """
-        bout = max(1, round(EVERY * self.second))
-        samples = bout + 1
+        samples = self._between_onsets + 1
+        unsure = 2 * self._between_onsets
         before_onset = max(len(self._values) - (self.count - suspect.born) - 1, 0)
         readings = np.array([values[suspect.cause[1]] for values in self._values])
         moved = np.sign(suspect.shift) * readings
-        last = min(before_onset + 2 * bout, moved.size - 2 * samples - 1)
-        begins = (
-            *range(max(before_onset - 2 * bout, 0), before_onset + 1),
-            *range(before_onset + 1, last + 1),
-        )
+        seen_through = moved.size - 2 * samples - 1
+        earliest = max(before_onset - unsure, 0)
+        latest = max(before_onset, min(before_onset + unsure, seen_through))
         return any(
             _jumps_at_once(moved[begin:] - moved[begin], abs(suspect.shift), samples)
-            for begin in begins
+            for begin in range(earliest, latest + 1)
         )
 
     @property

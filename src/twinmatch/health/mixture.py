@@ -208,7 +208,7 @@ class NewestForecasts:
     def explained(self, since: int, variance: FloatArray) -> BoolArray:
         """Which outputs the linear model has forecast far better than the equations, in forecasts scored since
         a sample, counted from the beginning; readings have this variance."""
-        scored = [forecast for forecast in self._scored if forecast.at >= since]
+        scored = self._since(since)
         if len(scored) < self._LEAST:
             return np.zeros(variance.size, dtype=bool)
         of_equations = np.mean([forecast.squares for forecast in scored], axis=0)
@@ -220,11 +220,14 @@ class NewestForecasts:
 
     def missed(self, since: int, variance: FloatArray) -> BoolArray:
         """Which outputs the equations have missed by more than their readings scatter, in the same forecasts."""
-        scored = [forecast for forecast in self._scored if forecast.at >= since]
+        scored = self._since(since)
         if not scored:
             return np.ones(variance.size, dtype=bool)
         of_equations = np.mean([forecast.squares for forecast in scored], axis=0)
         return np.asarray(of_equations > self._SMALL**2 * variance)
+
+    def _since(self, sample: int) -> list[ScoredForecast]:
+        return [forecast for forecast in self._scored if forecast.at >= sample]
 
 
 class HealthyMixture:
