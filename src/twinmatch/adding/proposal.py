@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from twinmatch.adding.blocks import models_of_blocks
 from twinmatch.adding.held_input import begun_at_rest, is_held
 from twinmatch.adding.noise import noise_of
 from twinmatch.dynamics import Plant
@@ -29,7 +30,6 @@ from twinmatch.importing.mapped import (
     without_impossible,
     without_marks,
 )
-from twinmatch.importing.pairs import standard_errors
 from twinmatch.importing.resampling import (
     Kind,
     Resampled,
@@ -48,10 +48,6 @@ from twinmatch.units import is_unit, measure
 
 _SPIKE: Final = 10.0
 """Distance from the median of its neighbours, in noises, from which a reading is a spike."""
-SURELY_RESTS: Final = 3.0
-"""Standard errors from which the way back to a rest differs from none."""
-MOVES: Final = 5.0
-"""Standard deviation of the changes from block to block, in those of the noise, that shows the plant."""
 _FEWEST_BLOCKS: Final = 20
 """Fewest blocks of rows from which a model is estimated."""
 _MOST: Final = 1e100
@@ -555,57 +551,16 @@ def _first_order(
     period: float,
 ) -> _FirstOrder:
     """The model of the difference equation, of the shortest blocks that show it; a guess if none do."""
-    for block in (2**k for k in range(12)):
-        if reading.size < _FEWEST_BLOCKS * block:
-            break
-        whole = reading.size - reading.size % block
-        means = [
-            signal[:whole].reshape(-1, block).mean(axis=1)
-            for signal in (reading, drive, *disturbances)
-        ]
-        model = _of_blocks(means, noise / math.sqrt(block), block, period)
-        if model is not None:
-            return model
+    models = models_of_blocks(
+        reading, [drive, *disturbances], noise, period, fewest=_FEWEST_BLOCKS
+    )
+    for model in models:
+        gain = model.gains[0]
+        if gain != 0.0:
+            return _rounded_model(gain, model.lag, model.rest, rests=model.rests)
     span = float(np.ptp(reading)) or 1.0
     reach = float(np.ptp(drive)) or 1.0
     return _rounded_model(span / reach, 0.1 * reading.size * period, float(reading[0]))
-
-
-def _of_blocks(
-    means: Sequence[FloatArray], noise: float, block: int, period: float
-) -> _FirstOrder | None:
-    """The model of means of the output, the input and disturbances over blocks, by least squares.
-
-    `noise` is that of the means, `block` the rows in a block, and `period` that of the rows, s. None if the
-    output does not move beyond its noise, or does not tend to where the input has it.
-    """
-    before = means[0][:-1]
-    changes = means[0][1:] - before
-    if np.std(changes) < MOVES * noise:
-        return None
-    acting = [between_blocks(signal, block) for signal in means[1:]]
-    table = np.column_stack([np.ones(before.size), before, *acting])
-    coefficients = np.linalg.lstsq(table, changes, rcond=None)[0]
-    constant, by_output, by_input, *_ = coefficients
-    back = -float(by_output)
-    if not (0.0 < back < 1.0 and abs(by_input) > 0):
-        return None
-    error = float(standard_errors(table, changes - table @ coefficients)[1])
-    return _rounded_model(
-        float(by_input) / back,
-        -block * period / math.log1p(-back),
-        float(constant) / back,
-        rests=back > SURELY_RESTS * error,
-    )
-
-
-def between_blocks(means: FloatArray, block: int) -> FloatArray:
-    """What acted from the middle of each block of rows of a signal to that of the next, of its means over
-    blocks; what one row says is held until the next.
-
-    With the means of the first of two blocks alone, what an input did in the second would pass for a way back.
-    """
-    return means[:-1] if block == 1 else (means[:-1] + means[1:]) / 2.0
 
 
 def _rounded_model(

@@ -6,21 +6,18 @@ disturbances), by least squares over blocks of samples long enough to move furth
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from twinmatch.adding.blocks import BlockModel, models_of_blocks
 from twinmatch.adding.noise import noise_of
 from twinmatch.adding.proposal import (
-    MOVES,
-    SURELY_RESTS,
     Around,
     Signal,
     around_of,
-    between_blocks,
     by_names_in_file,
     centre_of,
     disturbance_signals,
@@ -39,7 +36,6 @@ from twinmatch.adding.proposal import (
     without_spikes,
 )
 from twinmatch.importing.mapped import require_columns, times_of, with_titles
-from twinmatch.importing.pairs import standard_errors
 from twinmatch.importing.resampling import usual_period
 from twinmatch.importing.tables import Table
 from twinmatch.sampling.sources import SignalMap, SignalSource
@@ -272,63 +268,19 @@ def _lagged(
     )
 
 
-class _LaggedOutput(NamedTuple):
-    """The lag of an output that several inputs move."""
-
-    gains: list[float]
-    lag: float
-    """s"""
-    rest: float
-    rests: bool
-    """Whether the samples show that it tends to a steady state."""
-
-    def with_lag(self, lag: float, middle: float) -> _LaggedOutput:
-        """The model with another lag and the same rates about the `middle` of its output."""
-        share = lag / self.lag
-        gains = [share * gain for gain in self.gains]
-        rest = middle + share * (self.rest - middle)
-        return self._replace(gains=gains, lag=lag, rest=rest)
-
-
 def _first_order(
     output: FloatArray, inputs: Sequence[FloatArray], noise: float, period: float
-) -> _LaggedOutput:
+) -> BlockModel:
     """The model of the difference equation, of the shortest blocks that show it.
 
     If none do, the gains are a share of the ranges, and the lag a tenth of the recording.
     """
-    unknowns = 2 + len(inputs)
-    for block in (2**k for k in range(12)):
-        if output.size < _FEWEST_BLOCKS * unknowns * block:
-            break
-        whole = output.size - output.size % block
-        means = [
-            signal[:whole].reshape(-1, block).mean(axis=1)
-            for signal in (output, *inputs)
-        ]
-        before = means[0][:-1]
-        changes = np.diff(means[0])
-        if np.std(changes) < MOVES * noise / math.sqrt(block):
-            continue
-        acting = [between_blocks(signal, block) for signal in means[1:]]
-        table = np.column_stack([np.ones(before.size), before, *acting])
-        coefficients = np.linalg.lstsq(table, changes, rcond=None)[0]
-        constant, by_output, *by_input = coefficients.tolist()
-        back = -by_output
-        if 0.0 < back < 1.0:
-            lag = -block * period / math.log1p(-back)
-            error = float(standard_errors(table, changes - table @ coefficients)[1])
-            model = _LaggedOutput(
-                [effect / back for effect in by_input],
-                lag,
-                constant / back,
-                rests=back > SURELY_RESTS * error,
-            )
-            longest = _LONGEST_GUESS * output.size * period
-            middle = float(output.mean())
-            return model if model.rests else model.with_lag(min(lag, longest), middle)
+    fewest = _FEWEST_BLOCKS * (2 + len(inputs))
+    model = next(models_of_blocks(output, inputs, noise, period, fewest=fewest), None)
+    if model is not None:
+        longest = _LONGEST_GUESS * output.size * period
+        middle = float(output.mean())
+        return model if model.rests else model.with_lag(min(model.lag, longest), middle)
     reach = float(np.ptp(output)) or 1.0
     gains = [reach / (float(np.ptp(drive)) or 1.0) / len(inputs) for drive in inputs]
-    return _LaggedOutput(
-        gains, 0.1 * output.size * period, float(output[0]), rests=False
-    )
+    return BlockModel(gains, 0.1 * output.size * period, float(output[0]), rests=False)
