@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from twinmatch.adding.proposal import Proposal, Signal, rounded
+from twinmatch.adding.proposal import Proposal, rounded
+from twinmatch.adding.table_signals import Signal
 from twinmatch.errors import TwinmatchError
 from twinmatch.units import is_unit
 

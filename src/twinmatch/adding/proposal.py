@@ -6,10 +6,7 @@ disturbances), by least squares over blocks of samples long enough to move furth
 
 from __future__ import annotations
 
-import keyword
 import math
-import re
-import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -19,42 +16,17 @@ import numpy as np
 from twinmatch.adding.blocks import models_of_blocks
 from twinmatch.adding.held_input import begun_at_rest, is_held
 from twinmatch.adding.noise import noise_of
-from twinmatch.dynamics import Plant
-from twinmatch.importing.mapped import (
-    in_rows,
-    notes_on_impossible,
-    notes_on_times,
-    require_columns,
-    times_of,
-    with_titles,
-    without_impossible,
-    without_marks,
-)
-from twinmatch.importing.resampling import (
-    Kind,
-    Resampled,
-    complete_rows,
-    repeated,
-    resample,
-    second_pace,
-    usual_period,
-)
-from twinmatch.importing.tables import Table, split_title
-from twinmatch.importing.times import Times
+from twinmatch.adding.table_signals import Signal, TableSignals
+from twinmatch.importing.resampling import usual_period
+from twinmatch.importing.tables import Table
 from twinmatch.sampling.sources import SignalMap, SignalSource
-from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
-from twinmatch.units import is_unit, measure
+from twinmatch.units import measure
 
 _SPIKE: Final = 10.0
 """Distance from the median of its neighbours, in noises, from which a reading is a spike."""
 _FEWEST_BLOCKS: Final = 20
 """Fewest blocks of rows from which a model is estimated."""
-_MOST: Final = 1e100
-"""Size from which squares of values are not numbers any longer."""
-_KNOWN: Final = ("time", "output", "input", "reference")
-_ROLES: Final = {"output": "measured", "input": "drive"}
-"""Names of these signals where the table calls them by the name of another one, as PID libraries do."""
 _RANGES: Final = (
     (0.0, 1.0),
     (0.0, 100.0),
@@ -69,24 +41,6 @@ _OF_AN_INTEGRATOR: Final = 1.0 / 50.0
 acts: a recording shows some ten movements or more."""
 _BEYOND: Final = 0.05
 """A command may go beyond a usual range by this share of it, as that of a controller without limits does."""
-_OFFSET_UNITS: Final = {
-    "degc": "°C",
-    "c": "°C",
-    "°c": "°C",
-    "celsius": "°C",
-    "degf": "°F",
-    "sec": "s",
-}
-
-
-class Signal(NamedTuple):
-    """A signal of the proposed plant."""
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    text: str = ""
 
 
 @dataclass(frozen=True)
@@ -141,11 +95,6 @@ class Proposal:
         )
 
 
-def is_signal(name: str, role: str) -> bool:
-    """Whether a name in a map is that of an output, an input or a reference, such as `input` or `input.2`."""
-    return re.fullmatch(rf"{role}(\.\d+)?", name) is not None
-
-
 def alike(first: str, second: str) -> bool:
     """Whether two units measure the same quantity."""
     return measure(first).dimension == measure(second).dimension
@@ -176,28 +125,20 @@ def propose(
         signal_map: columns of time, output and input; every other name is a disturbance.
         longest: longest step between rows that is interpolated, s; judged by the rows if not given.
     """
-    require_columns(table, signal_map)
-    sources = {
-        name: with_titles(table, source) for name, source in signal_map.sources.items()
-    }
-    times = times_of(table, sources.get("time"), signal_map.period)
-    resampled, bridge = on_one_clock(table, sources, times, signal_map.period, longest)
-    disturbance_names = [name for name in signal_map.sources if name not in _KNOWN]
-    reading = resampled.columns["output"]
-    output_unit = unit_of(table, sources, "output")
-    drive = signal_values(table, sources, "input")
+    signals = TableSignals(table, signal_map, longest=longest)
+    resampled = signals.resampled
+    output_unit = signals.unit("output")
+    drive = signals.values("input")
     drive_range = range_of(drive)
-    names_in_file: list[str] = []
-    output_name = signal_name(sources, "output", names_in_file)
-    input_name = signal_name(sources, "input", names_in_file)
-    disturbances = disturbance_signals(
-        table, sources, disturbance_names, resampled, names_in_file
-    )
+    output_name = signals.name_in_file("output")
+    input_name = signals.name_in_file("input")
+    disturbances = signals.disturbance_signals()
     around = around_of(output_unit, disturbances, resampled.columns)
     centre = 0.0 if around is not None else centre_of(drive_range)
-    noise, model = _estimated(resampled, disturbance_names, centre)
+    noise, model = _estimated(signals, centre)
     if around is not None:
         model = model._replace(rest=float(around.values.mean()))
+    reading = resampled.columns["output"]
     duration = reading.size * resampled.period
     lag_of_period = lag_of_answer(model.lag, duration, rests=model.rests)
     period = signal_map.period or usual_period(lag_of_period, resampled.period)
@@ -205,7 +146,7 @@ def propose(
     output_range = _output_range(reading, drive_from_centre, model)
     return Proposal(
         output=Signal(output_name, output_unit, *output_range),
-        input=Signal(input_name, unit_of(table, sources, "input"), *drive_range),
+        input=Signal(input_name, signals.unit("input"), *drive_range),
         disturbances=tuple(disturbances.values()),
         noise=noise,
         period=period,
@@ -213,15 +154,15 @@ def propose(
         lag=model.lag,
         rest=model.rest,
         centre=centre,
-        sources=by_names_in_file(signal_map, disturbances),
+        sources=signals.sources_in_file(disturbances),
         table=table.path.name,
         has_reference="reference" in signal_map.sources,
-        held=not disturbance_names and is_held(resampled.columns["input"]),
+        held=not disturbances and is_held(resampled.columns["input"]),
         switched=np.unique(drive[np.isfinite(drive)]).size == 2,
         split=bool(resampled.gaps),
-        bridge=bridge,
+        bridge=signals.bridge,
         notes=(
-            *notes_on_table(table, sources, times),
+            *signals.notes,
             *_notes_on_integration(model, output_name, input_name),
             *note_on_period(lag_of_period, resampled.period, period),
         ),
@@ -243,43 +184,6 @@ def around_of(
         if alike(disturbance.unit, unit):
             return Around(disturbance, columns[name])
     return None
-
-
-def disturbance_signals(
-    table: Table,
-    sources: Mapping[str, SignalSource],
-    names: Sequence[str],
-    resampled: Resampled,
-    names_in_file: list[str],
-) -> dict[str, Signal]:
-    """The disturbances of a plant by their names in the map, with the ranges that they had; the names that
-    they get are added to those in the file."""
-    disturbances = {}
-    for name in names:
-        values = resampled.columns[name]
-        unit = unit_of(table, sources, name)
-        disturbances[name] = Signal(
-            word(name, names_in_file), unit, float(values.min()), float(values.max())
-        )
-    return disturbances
-
-
-def by_names_in_file(
-    signal_map: SignalMap, disturbances: Mapping[str, Signal]
-) -> dict[str, SignalSource]:
-    """The sources of a map with the names that disturbances have in the file."""
-    sources = {}
-    for name, source in signal_map.sources.items():
-        sources[disturbances[name].name if name in disturbances else name] = source
-    return sources
-
-
-def notes_on_table(
-    table: Table, sources: Mapping[str, SignalSource], times: Times
-) -> tuple[str, ...]:
-    """How a table was read."""
-    of_times = notes_on_times(table, sources.get("time"), times)
-    return (*table.notes, *notes_on_readings(table, sources), *of_times)
 
 
 def lag_of_answer(lag: float, duration: float, *, rests: bool) -> float:
@@ -320,62 +224,6 @@ def note_on_period(lag: float, row_period: float, period: float) -> list[str]:
     return [f"{rows}: a period of {period:g} s is written; --period gives another."]
 
 
-def on_one_clock(
-    table: Table,
-    sources: Mapping[str, SignalSource],
-    times: Times,
-    period: float | None,
-    longest: float | None,
-) -> tuple[Resampled, float | None]:
-    """All signals on one clock, from the rows that have all of them, and the longest step that is bridged, s.
-
-    Raises:
-        RecordingError: the rows cannot be resampled, or values are too large for squares.
-    """
-    names = sorted(
-        (name for name in sources if name != "time"),
-        key=lambda name: not is_signal(name, "output"),
-    )
-    kinds: dict[str, Kind] = dict.fromkeys(names, "reading")
-    for name in names:
-        if is_signal(name, "input"):
-            kinds[name] = "held"
-        elif is_signal(name, "reference"):
-            kinds[name] = "set"
-    table, times = in_rows(table, sources, kinds, times)
-    signals = {name: signal_values(table, sources, name) for name in names}
-    _require_usual_sizes(table, signals)
-    columns = (times.seconds, *signals.values())
-    rows = complete_rows(*columns)
-    if rows.size < 2:
-        raise RecordingError(
-            f"{table.path}: fewer than two rows have a value of {', '.join(names)}"
-        )
-    rows = np.setdiff1d(rows, repeated(rows, *columns))
-    bridge = second_pace(times.seconds[rows]) if longest is None else longest
-    resampled = resample(
-        times.seconds[rows],
-        {name: values[rows] for name, values in signals.items()},
-        kinds,
-        period,
-        longest=bridge,
-        gaps="split",
-        place=str(table.path),
-        row=lambda i: table.row_name(int(rows[i])),
-    )
-    return resampled, bridge
-
-
-def _require_usual_sizes(table: Table, signals: Mapping[str, FloatArray]) -> None:
-    """Refuse values too large for squares, in any row: limits are taken from all of them."""
-    for name, values in signals.items():
-        largest = np.abs(values[~np.isnan(values)]).max(initial=0.0)
-        if not largest < _MOST:
-            raise RecordingError(
-                f"{table.path}: {name} reaches {largest:g}; correct its values"
-            )
-
-
 class _FirstOrder(NamedTuple):
     """A first-order model."""
 
@@ -388,23 +236,17 @@ class _FirstOrder(NamedTuple):
     """Whether the samples show that it tends to a steady state."""
 
 
-def _estimated(
-    resampled: Resampled, disturbances: Sequence[str], centre: float
-) -> tuple[float, _FirstOrder]:
-    """The output's noise and the model, from the longest stretch: across a gap there are no rates.
-
-    The rest of the model is that with the input at its centre.
-    """
-    longest = max(resampled.stretches, key=lambda stretch: stretch.stop - stretch.start)
-    reading = resampled.columns["output"][longest]
-    drive = resampled.columns["input"][longest] - centre
-    disturbance_columns = [resampled.columns[name][longest] for name in disturbances]
+def _estimated(signals: TableSignals, centre: float) -> tuple[float, _FirstOrder]:
+    """The output's noise and the model, with its rest at the input's centre."""
+    columns = signals.longest_stretch()
+    reading = columns["output"]
+    drive = columns["input"] - centre
+    disturbance_columns = [columns[name] for name in signals.disturbances]
     noise = noise_of(reading, [drive, *disturbance_columns])
     free_of_spikes = without_spikes(reading, noise)
-    model = _first_order(
-        free_of_spikes, drive, disturbance_columns, noise, resampled.period
-    )
-    if not disturbances and is_held(drive):
+    period = signals.resampled.period
+    model = _first_order(free_of_spikes, drive, disturbance_columns, noise, period)
+    if not disturbance_columns and is_held(drive):
         model = _begun_at_rest(free_of_spikes, drive, model)
     return noise, model
 
@@ -435,83 +277,6 @@ def _output_range(
     low = min(float(reading.min()), *steady)
     high = max(float(reading.max()), *steady)
     return round_out(low - span, high + span)
-
-
-def signal_values(
-    table: Table, sources: Mapping[str, SignalSource], signal: str
-) -> FloatArray:
-    """The mean of the columns of a signal, in their unit, shape (N,); nan where there is no reading."""
-    source = sources[signal]
-    columns = [
-        source.scale * without_marks(table.values(title)) + source.offset
-        for title in source.places
-    ]
-    mean = np.asarray(np.mean(columns, axis=0), dtype=np.float64)
-    return without_impossible(mean, unit_of(table, sources, signal))
-
-
-def notes_on_readings(table: Table, sources: Mapping[str, SignalSource]) -> list[str]:
-    """Notes on columns with values below absolute zero."""
-    notes: list[str] = []
-    for signal, source in sources.items():
-        if signal != "time":
-            unit = unit_of(table, sources, signal)
-            for title in source.places:
-                values = without_marks(table.values(title))
-                scaled = source.scale * values + source.offset
-                notes += notes_on_impossible(
-                    table, signal, values, without_impossible(scaled, unit)
-                )
-    return notes
-
-
-def signal_name(
-    sources: Mapping[str, SignalSource], signal: str, names_in_file: list[str]
-) -> str:
-    """A name after the signal's column."""
-    title, _ = split_title(sources[signal].places[0])
-    role = signal.partition(".")[0]
-    if title.lower() in _KNOWN and title.lower() != role:
-        title = _ROLES[role]
-    says_something = re.search(r"[a-zA-Z]{2}|[a-zA-Z]_?\d", title)
-    return word(title if says_something else signal, names_in_file)
-
-
-def unit_of(table: Table, sources: Mapping[str, SignalSource], signal: str) -> str:
-    """The unit of a signal by its map or its title; empty where neither has one."""
-    source = sources[signal]
-    unit = source.unit or table.unit(source.places[0])
-    unit = _OFFSET_UNITS.get(unit.lower(), unit)
-    return unit if is_unit(unit) else ""
-
-
-def word(title: str, names_in_file: list[str]) -> str:
-    """A valid Python name that does not yet occur in the file."""
-    # as Python reads names
-    text = unicodedata.normalize("NFKC", split_title(title)[0].strip().lower())
-    plain = "".join(c if f"_{c}".isidentifier() else " " for c in text)
-    plain = re.sub(r"[\s_]+", "_", plain).strip("_") or "signal"
-    plain = plain if plain.isidentifier() else f"n{plain}"
-    reserved = {
-        *vars(Plant),
-        *Plant.__annotations__,
-        "gain",
-        "lag",
-        "rest",
-        "inner",
-        "seen",
-        "sensor_lag",
-    }
-    reserved |= {"acting", *(f"acting_{k}" for k in range(4)), "dead_time"}
-    reserved |= {"store", "store_lag", "store_share"}
-    while (
-        keyword.iskeyword(plain)
-        or plain in names_in_file
-        or plain in reserved - {"output"}
-    ):
-        plain += "_"
-    names_in_file.append(plain)
-    return plain
 
 
 def centre_of(drive_range: tuple[float, float]) -> float:

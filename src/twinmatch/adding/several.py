@@ -16,26 +16,17 @@ from twinmatch.adding.blocks import BlockModel, models_of_blocks
 from twinmatch.adding.noise import noise_of
 from twinmatch.adding.proposal import (
     Around,
-    Signal,
     around_of,
-    by_names_in_file,
     centre_of,
-    disturbance_signals,
-    is_signal,
     lag_of_answer,
     note_on_integration,
     note_on_period,
-    notes_on_table,
-    on_one_clock,
     range_of,
     round_out,
     rounded,
-    signal_name,
-    signal_values,
-    unit_of,
     without_spikes,
 )
-from twinmatch.importing.mapped import require_columns, times_of, with_titles
+from twinmatch.adding.table_signals import Signal, TableSignals, is_signal, names_of
 from twinmatch.importing.resampling import usual_period
 from twinmatch.importing.tables import Table
 from twinmatch.sampling.sources import SignalMap, SignalSource
@@ -112,71 +103,51 @@ def propose_several(
     Raises:
         RecordingError: an output or an input is missing, or the table cannot be used.
     """
-    names = _NamesByRole.of(signal_map)
-    require_columns(table, signal_map, (*names.outputs, *names.inputs))
-    sources = {
-        name: with_titles(table, source) for name, source in signal_map.sources.items()
-    }
-    times = times_of(table, sources.get("time"), signal_map.period)
-    resampled, bridge = on_one_clock(table, sources, times, signal_map.period, longest)
-    names_in_file: list[str] = []
-    inputs = []
-    for name in names.inputs:
-        unit = unit_of(table, sources, name)
-        limits = range_of(signal_values(table, sources, name))
-        inputs.append(Signal(signal_name(sources, name, names_in_file), unit, *limits))
-    disturbances = disturbance_signals(
-        table, sources, names.disturbances, resampled, names_in_file
-    )
-    longest_stretch = max(
-        resampled.stretches, key=lambda stretch: stretch.stop - stretch.start
-    )
-    columns = {
-        name: column[longest_stretch] for name, column in resampled.columns.items()
-    }
+    output_names = names_of(signal_map, "output") or ["output"]
+    input_names = names_of(signal_map, "input") or ["input"]
+    needed = (*output_names, *input_names)
+    signals = TableSignals(table, signal_map, needed, longest=longest)
+    inputs = [_input_signal(signals, name) for name in input_names]
+    disturbances = signals.disturbance_signals()
+    columns = signals.longest_stretch()
     surroundings = [
-        around_of(unit_of(table, sources, name), disturbances, columns)
-        for name in names.outputs
+        around_of(signals.unit(name), disturbances, columns) for name in output_names
     ]
     centres = _centres_of(inputs, surroundings)
     drives = [
         _Drive(columns[name] - centre, u.low - centre, u.high - centre)
-        for name, u, centre in zip(names.inputs, inputs, centres, strict=True)
+        for name, u, centre in zip(input_names, inputs, centres, strict=True)
     ]
-    measured = [columns[name] for name in names.disturbances]
-    outputs = []
-    for name, around in zip(names.outputs, surroundings, strict=True):
-        unit = unit_of(table, sources, name)
-        signal = Signal(signal_name(sources, name, names_in_file), unit, 0.0, 0.0)
-        outputs.append(
-            _lagged(
-                signal,
-                columns[name],
-                drives,
-                measured,
-                period=resampled.period,
-                around=around,
-            )
-        )
-    duration = columns[names.outputs[0]].size * resampled.period
+    outputs = [
+        _lagged(signals, name, drives, around)
+        for name, around in zip(output_names, surroundings, strict=True)
+    ]
+    row_period = signals.resampled.period
+    duration = columns[output_names[0]].size * row_period
     fastest = min(lag_of_answer(y.lag, duration, rests=y.rests) for y in outputs)
-    period = signal_map.period or usual_period(fastest, resampled.period)
+    period = signal_map.period or usual_period(fastest, row_period)
     return SeveralProposal(
         outputs=tuple(outputs),
         inputs=tuple(inputs),
         centres=centres,
         disturbances=tuple(disturbances.values()),
         period=period,
-        sources=by_names_in_file(signal_map, disturbances),
+        sources=signals.sources_in_file(disturbances),
         table=table.path.name,
-        split=bool(resampled.gaps),
-        bridge=bridge,
+        split=bool(signals.resampled.gaps),
+        bridge=signals.bridge,
         notes=(
-            *notes_on_table(table, sources, times),
+            *signals.notes,
             *_notes_on_integration(outputs, inputs),
-            *note_on_period(fastest, resampled.period, period),
+            *note_on_period(fastest, row_period, period),
         ),
     )
+
+
+def _input_signal(signals: TableSignals, name: str) -> Signal:
+    """An input, with the range of all of its rows."""
+    limits = range_of(signals.values(name))
+    return Signal(signals.name_in_file(name), signals.unit(name), *limits)
 
 
 def _centres_of(
@@ -189,24 +160,6 @@ def _centres_of(
     if any(surroundings):
         return (0.0,) * len(inputs)
     return tuple(centre_of((u.low, u.high)) for u in inputs)
-
-
-class _NamesByRole(NamedTuple):
-    """The names in a map by what they are."""
-
-    outputs: list[str]
-    inputs: list[str]
-    disturbances: list[str]
-
-    @classmethod
-    def of(cls, signal_map: SignalMap) -> _NamesByRole:
-        """Those of a map; an output and an input are needed, whether it has them or not."""
-        names = list(signal_map.sources)
-        outputs = [name for name in names if is_signal(name, "output")] or ["output"]
-        inputs = [name for name in names if is_signal(name, "input")] or ["input"]
-        references = [name for name in names if is_signal(name, "reference")]
-        others = {"time", *outputs, *inputs, *references}
-        return cls(outputs, inputs, [name for name in names if name not in others])
 
 
 def _notes_on_integration(
@@ -231,19 +184,20 @@ class _Drive(NamedTuple):
 
 
 def _lagged(
-    signal: Signal,
-    reading: FloatArray,
+    signals: TableSignals,
+    name: str,
     drives: Sequence[_Drive],
-    measured: Sequence[FloatArray],
-    *,
-    period: float,
     around: Around | None,
 ) -> LaggedOutput:
-    """The lag of one output, of its readings, shape (N,), and what moves it: inputs and disturbances."""
+    """The lag of one output, of its readings and what moves it: inputs and disturbances."""
+    columns = signals.longest_stretch()
+    reading = columns[name]
     commanded = [drive.values for drive in drives]
+    measured = [columns[disturbance] for disturbance in signals.disturbances]
     noise = noise_of(reading, [*commanded, *measured])
     quiet = without_spikes(reading, noise)
     excess = quiet if around is None else quiet - around.values
+    period = signals.resampled.period
     model = _first_order(excess, commanded, noise, period)
     reach = float(np.ptp(reading)) or 1.0
     level = 0.0 if around is None else float(around.values.mean())
@@ -256,9 +210,11 @@ def _lagged(
     highest = level + model.rest + sum(max(ends) for ends in effects)
     low = min(float(reading.min()), lowest) - reach
     high = max(float(reading.max()), highest) + reach
-    low, high = round_out(low, high)
+    signal = Signal(
+        signals.name_in_file(name), signals.unit(name), *round_out(low, high)
+    )
     return LaggedOutput(
-        signal._replace(low=low, high=high),
+        signal,
         noise,
         tuple(rounded(gain) for gain in model.gains),
         rounded(model.lag),
