@@ -170,7 +170,7 @@ class TableSignals:
 
     @property
     def disturbances(self) -> list[str]:
-        """The names in the map of all that is no signal of a loop."""
+        """The names in the map that belong to none of its loops."""
         of_loops = {name for role in _ROLES for name in names_of(self._map, role)}
         return [name for name in self._map.sources if name not in {"time", *of_loops}]
 
