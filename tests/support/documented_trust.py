@@ -60,8 +60,9 @@ def _horizons_that_pass(
 def _passes(score: Document, k: int, *, was_trusted: bool) -> bool:
     beats_no_change = _beats_no_change(score, k, was_trusted=was_trusted)
     behind_arx = _is_behind_arx(score, k, was_trusted=was_trusted)
+    beaten_sooner = any(_is_far_behind_arx(score, shorter) for shorter in range(k))
     bands_hold = _bands_hold(score, k, was_trusted=was_trusted)
-    return beats_no_change and not behind_arx and bands_hold
+    return beats_no_change and not (behind_arx or beaten_sooner) and bands_hold
 
 
 def _errors(score: Document, baseline: str, k: int) -> tuple[float, float]:
@@ -82,12 +83,15 @@ def _beats_no_change(score: Document, k: int, *, was_trusted: bool) -> bool:
 
 
 def _is_behind_arx(score: Document, k: int, *, was_trusted: bool) -> bool:
-    """Worse by more than a tenth and 1.25 standard errors; once trusted, by a tenth at the upper end of the
-    interval of its skill."""
+    """Worse by 1.25 standard errors; once trusted, by the upper end of the interval of its skill."""
     log_ratio, error = _errors(score, "arx", k)
-    if was_trusted:
-        return log_ratio - _ONE_SIDED * error > math.log(1.1)
-    return log_ratio > max(math.log(1.1), 1.25 * error)
+    return log_ratio > (_ONE_SIDED if was_trusted else 1.25) * error
+
+
+def _is_far_behind_arx(score: Document, k: int) -> bool:
+    """Worse by more than a tenth, by the upper end of the interval of its skill."""
+    log_ratio, error = _errors(score, "arx", k)
+    return log_ratio - _ONE_SIDED * error > math.log(1.1)
 
 
 def _bands_hold(score: Document, k: int, *, was_trusted: bool) -> bool:

@@ -46,7 +46,7 @@ ONE_SIDED: Final = 1.6448536269514722
 """Quantile of the normal distribution at 95 %: that of `persistence_skill_high` and `arx_skill_high`."""
 _TINY: Final = 1e-12
 _TENTH: Final = 1.1
-"""A twin whose errors are up to so many times those of ARX is trusted: it alone can answer what-if."""
+"""Up to so many times the errors of ARX, a twin is hardly worse: it alone can answer what-if."""
 BASELINES: Final = {
     "persistence": "saying that nothing changes",
     "arx": "a linear model without physics (ARX)",
@@ -76,6 +76,14 @@ _PERSISTENCE: Final = (
 )
 _ARX: Final = "its forecasts are worse than {arx}, with {{}} times the error"
 _BANDS: Final = "its bands hold {} % of the readings"
+BEATEN_SOONER: Final = Shortfall(
+    "its forecasts are not surely better than {arx}, which is better sooner".format(
+        **BASELINES
+    ),
+    "",
+    certain=False,
+)
+"""What a shorter horizon says of a longer one."""
 
 
 def doubt_words(doubts: Mapping[float, Shortfall]) -> str:
@@ -215,16 +223,20 @@ class ForecastScore:
     ) -> dict[float, Shortfall]:
         """Where its forecasts do not pass the test, and why, by horizon, s; at the others they are trusted.
 
-        They pass if they are better than saying that nothing changes, by more than chance; if ARX is not
-        better by more than chance and a tenth; and if their bands do not hold less than they promise, by more
-        than chance. At horizons that were `trusted` before, the contrary has to be shown: that ARX is better
-        by more than a tenth, by the upper end of its interval. Where both baselines are better, the better
-        one is named.
+        They pass if they are better than saying that nothing changes, if ARX is not better, and if their bands
+        do not hold less than they promise, each by more than chance. At horizons that were `trusted` before,
+        the contrary has to be shown. Where both baselines are better, the better one is named. Nor do they
+        pass where ARX is surely much better at a shorter horizon: of long forecasts only few do not overlap.
         """
-        doubts = {h: self._doubt(k, held=h in trusted) for k, h in enumerate(horizons)}
-        return {
-            horizon: doubt for horizon, doubt in doubts.items() if doubt is not None
-        }
+        doubts = {}
+        beaten_sooner = None
+        for k, horizon in enumerate(horizons):
+            doubt = self._doubt(k, held=horizon in trusted) or beaten_sooner
+            if doubt is not None:
+                doubts[horizon] = doubt
+            if self._is_far_behind_arx(k):
+                beaten_sooner = BEATEN_SOONER
+        return doubts
 
     def _doubt(self, k: int, *, held: bool) -> Shortfall | None:
         if not self.persistence_skill or math.isnan(self.persistence_skill[k]):
@@ -257,10 +269,16 @@ class ForecastScore:
         )
 
     def _behind_arx(self, k: int, *, held: bool) -> Shortfall | None:
-        error, sure = self._behind("arx", k, _TENTH if held else 1.0)
-        if error > _TENTH and sure > (ONE_SIDED if held else _SHOWN / 2.0):
-            return Shortfall(_ARX.format(**BASELINES), f"{error:.2f}", sure > _SHOWN)
+        error, sure = self._behind("arx", k)
+        if sure > (ONE_SIDED if held else _SHOWN / 2.0):
+            certain = error > _TENTH and sure > _SHOWN
+            return Shortfall(_ARX.format(**BASELINES), f"{error:.2f}", certain)
         return None
+
+    def _is_far_behind_arx(self, k: int) -> bool:
+        """Whether ARX is better by more than a tenth, by the end of the one-sided 95 % interval."""
+        _, sure = self._behind("arx", k, _TENTH)
+        return sure > ONE_SIDED
 
     def _behind(self, baseline: str, k: int, times: float = 1.0) -> tuple[float, float]:
         """How many times a baseline's error its own is at the k-th horizon, and by how many standard errors
