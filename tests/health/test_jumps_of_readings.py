@@ -9,7 +9,7 @@ from tests.support.public_kit import public_kit
 from twinmatch.control import Controller
 from twinmatch.dynamics import law_of
 from twinmatch.health.channels import ChannelMonitor
-from twinmatch.health.faults import TRAITS, Subject
+from twinmatch.health.faults import TRAITS, Fault, Subject
 from twinmatch.plants import TCLabBoth
 from twinmatch.signals import NANOSECONDS, Sample
 
@@ -47,3 +47,29 @@ def test_a_sensor_that_is_off_at_once_is_named_soon_and_nothing_before(
     assert JUMP <= sample <= JUMP + 20
     assert TRAITS[fault].subject is Subject.OUTPUT
     assert signal == "temperature"
+
+
+@pytest.mark.parametrize("off", [2.0, -2.0])
+def test_two_sensors_that_jump_by_six_steps_of_their_display_are_reported_at_once(
+    off: float,
+) -> None:
+    """Both read 2 °C more or less from one sample to the next, in a display with steps of 0.32 °C."""
+    jumps = 700
+    kit = public_kit(5)
+    monitor = ChannelMonitor(TCLabBoth.model(TCLabBoth.followed).typical(), 1.0)
+    controller = Controller(law_of(TCLabBoth, 1.0))
+    for k in range(jumps + 4):
+        added = off if k >= jumps else 0.0
+        measured = (float(kit.T1) + added, float(kit.T2) + added)
+        references = (45.0, 40.0) if k >= 300 else (35.0, 35.0)
+        command = controller.step(np.array(references), np.array(measured))
+        drives = (float(command[0]), float(command[1]))
+        monitor.push(Sample(k, k * NANOSECONDS, references, measured, drives))
+        kit.Q1(drives[0])
+        kit.Q2(drives[1])
+        kit.update(float(k + 1))
+    (alarm,) = monitor.alarms
+    assert (alarm.fault, alarm.last) == (Fault.DRIFT, None)
+    assert jumps <= alarm.flagged <= jumps + 3
+    assert "jumped at once" in alarm.reason
+    assert monitor.estimates == ()

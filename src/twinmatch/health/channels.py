@@ -25,7 +25,7 @@ from twinmatch.health.faults import (
     Subject,
     touching,
 )
-from twinmatch.health.hypotheses import MORE, ChangeRow
+from twinmatch.health.hypotheses import LESS, MORE, ChangeRow
 from twinmatch.health.reading_through import ReadThrough
 from twinmatch.health.sentences import FaultSentences
 from twinmatch.settings import Rule
@@ -83,6 +83,11 @@ class _Ending(Rule):
     """Time for which a push that has passed is shown, s."""
     remainder: float = 0.4
     """Share of a change that may remain when it counts as over."""
+    settles: float = 600.0
+    """Time after the end of a change in which what remains of it may still show, s."""
+    learned: float = 60.0
+    """Time for which the plant is believed to be as before, without an end that was seen, until the change is
+    over, s."""
     faded: float = 0.3
     """Share of a push from which on it has passed."""
 
@@ -113,13 +118,27 @@ class ChannelAlarm(Alarm):
     """What competed when it was reported, the best first."""
 
 
-class _NamedChange(NamedTuple):
+@dataclass(eq=False)
+class _NamedChange:
     """A change that was named, and that the plant is known by since."""
 
     fault: Fault
     row: ChangeRow
     before: FloatArray
     """What was believed of the plant before it."""
+    shift: float
+    """Its size when it was named, in the unit of its row."""
+    samples_as_before: int = 0
+    """For how many samples the plant has been believed to be as before it."""
+
+
+class _Return(NamedTuple):
+    """A number of the plant that is again as it was before a change."""
+
+    at: int
+    """Sample at which that was said."""
+    size: float
+    """The largest size that the change was known to have, without its sign."""
 
 
 def _is_of_sensor(row: ChangeRow) -> bool:
@@ -151,6 +170,8 @@ class ChannelMonitor:
         """Readings in a row of each output that its sensor cannot give."""
         self._standing: list[_NamedChange] = []
         """Named changes that have not been undone."""
+        self._returned: dict[str, _Return] = {}
+        """When numbers of the plant were last said to be as before."""
         self._lies_of_output: dict[int, Lie] = {}
         """Of the outputs whose sensors lie now."""
         self._past_lies: deque[Lie] = deque(maxlen=_KEPT)
@@ -281,6 +302,7 @@ class ChannelMonitor:
         suspects = self._lost_and_weak(self.competition.suspects())
         self.suspects = [suspect for suspect in suspects if self._counts(suspect)]
         self._judge(self.suspects)
+        self._end_what_was_learned_back()
         for output in [*self.competition.through]:
             if not self._lies(output):
                 del self.competition.through[output]
@@ -327,7 +349,8 @@ class ChannelMonitor:
                 self._close()
             return
         self._standing += [
-            _NamedChange(Fault.DRIFT, rows[output], before) for output in outputs
+            _NamedChange(Fault.DRIFT, rows[output], before, jumps[output])
+            for output in outputs
         ]
         self._raise_jumps(outputs)
         self._expect_back()
@@ -540,9 +563,31 @@ class ChannelMonitor:
             return True
         if fault in _OF_A_DRIVE and not self.competition.was_asked(best):
             return True
+        if self._gives_back(best) and self._seems_back(best):
+            return True
         is_new_room = is_new and fault is Fault.ROOM_CHANGED
-        needs_more = is_new_room or self._is_beside_a_lie(best)
+        is_beside_a_lost_drive = is_new and fault in _OF_THE_PLANT and self._has_lost()
+        needs_more = (
+            is_new_room or is_beside_a_lost_drive or self._is_beside_a_lie(best)
+        )
         return needs_more and best.evidence < _NAMING.more
+
+    @staticmethod
+    def _gives_back(best: Suspect) -> bool:
+        """Whether it says that a drive does as much again as before, which heat from another one looks like."""
+        is_of_a_drive = best.cause[0] in _OF_A_DRIVE and best.cause[1] != EVERY
+        return best.row.is_end and is_of_a_drive and best.shift > 0.0
+
+    def _seems_back(self, best: Suspect) -> bool:
+        """Whether what crosses explains nearly as well that a drive does as much again as before; that an end is
+        expected does not count, as what crosses is none and comes with every move of the other drives."""
+        expected = self.competition.expects_ends_by
+        return self.competition.crossing > best.evidence - LEAD - expected
+
+    def _has_lost(self) -> bool:
+        """Whether a drive is known to be lost: the plant then goes where nothing has shown how well the equations
+        describe it."""
+        return self.on is not None and self.on.fault is Fault.DRIVE_LOST
 
     def _is_beside_a_lie(self, suspect: Suspect) -> bool:
         """Whether another sensor than the one it concerns is known to lie."""
@@ -567,18 +612,35 @@ class ChannelMonitor:
         """Whether the plant was known well when the change began."""
         return self.competition.known - self._age(best) >= _NAMING.learned
 
-    @classmethod
-    def _is_material(cls, best: Suspect) -> bool:
+    def _is_material(self, best: Suspect) -> bool:
         """Whether a change is one that is reported, and not one that has shrunk to nothing since."""
         return abs(best.shift) >= max(
-            cls._least_reported(best), _NAMING.certain * best.error
+            self._least_reported(best), _NAMING.certain * best.error
         )
 
-    @classmethod
-    def _least_reported(cls, suspect: Suspect) -> float:
-        """The smallest size of such a change that is reported."""
-        least = suspect.row.least
-        return max(least, MORE) if cls._does_more(suspect) else least
+    def _least_reported(self, suspect: Suspect) -> float:
+        """The smallest size of such a change that is reported.
+
+        A drive that does more has to do more than what may cross from the others, as far as they have moved.
+        """
+        remains = self._may_remain(suspect)
+        least = max(suspect.row.least, remains)
+        if not self._does_more(suspect):
+            return least
+        if suspect.cause[1] == EVERY or remains:
+            return max(least, MORE)
+        crosses = self.competition.most_that_crosses(suspect)
+        return max(least, min(crosses, MORE))
+
+    def _may_remain(self, suspect: Suspect) -> float:
+        """How much of a change that was over shortly before a suspect began may be left, in the unit of the same
+        number; 0 if there was none."""
+        returned = self._returned.get(suspect.row.number)
+        onset = self._begin + suspect.born
+        lately = _ENDING.settles * self.competition.second
+        if returned is None or onset - returned.at >= lately:
+            return 0.0
+        return _ENDING.remainder * returned.size
 
     @staticmethod
     def _does_more(suspect: Suspect) -> bool:
@@ -603,10 +665,8 @@ class ChannelMonitor:
         return self.competition.crossing > max(0.0, best.evidence - LEAD)
 
     def _creeps_unseen(self, best: Suspect) -> bool:
-        """Whether it is a creeping change while a drive is lost: the plant then goes where nothing has shown
-        how well the equations describe it, and what they lack creeps as well."""
-        drive_is_lost = self.on is not None and self.on.fault is Fault.DRIVE_LOST
-        return drive_is_lost and best.row.slowly > 0.0
+        """Whether it is a creeping change while a drive is lost: what the equations lack creeps as well."""
+        return self._has_lost() and best.row.slowly > 0.0
 
     @staticmethod
     def _exclude_each_other(suspect: Suspect, best: Suspect) -> bool:
@@ -641,11 +701,13 @@ class ChannelMonitor:
         """Whether a suspect brings the number of a named change nearly back to what it was before."""
         if (named.row.number, named.row.also) != (suspect.row.number, suspect.row.also):
             return False
-        if suspect.row.is_end:
-            return suspect.returned >= 1.0 - _ENDING.remainder
         shift = self.competition.change_since(named.row, named.before)
-        remaining = abs(named.row.remaining(shift, suspect.shift))
-        return remaining <= max(_ENDING.remainder * abs(shift), suspect.row.least)
+        may_remain = max(_ENDING.remainder * abs(shift), suspect.row.least)
+        if suspect.row.is_end:
+            left = self.competition.left_after(suspect, named.row, named.before)
+            is_gone = suspect.returned >= 1.0 - _ENDING.remainder
+            return is_gone and abs(left) <= may_remain
+        return abs(named.row.remaining(shift, suspect.shift)) <= may_remain
 
     def _end(self, undone: list[_NamedChange]) -> None:
         """Named changes no longer stand, and no alarm of them is on."""
@@ -654,14 +716,55 @@ class ChannelMonitor:
             for named in self._standing
             if not any(named is other for other in undone)
         ]
+        for named in undone:
+            if not _is_of_sensor(named.row):
+                shift = self.competition.change_since(named.row, named.before)
+                size = max(abs(named.shift), abs(shift))
+                self._returned[named.row.number] = _Return(self._index, size)
         faults = {named.fault for named in undone}
         if self.on is not None and self.on.fault in faults:
             self._close()
 
+    def _end_what_was_learned_back(self) -> None:
+        """End changes of drives that the filters have unlearned by themselves: an end that comes slowly, or beside
+        another one, need not be seen."""
+        enough = _ENDING.learned * self.competition.second
+        learned_back = []
+        for named in self._standing:
+            if named.fault not in _OF_A_DRIVE:
+                continue
+            named.samples_as_before += 1
+            if not self._has_share_of_before(named):
+                named.samples_as_before = 0
+            elif named.samples_as_before > enough:
+                named.samples_as_before = 0
+                if self._acts_as_before(named):
+                    learned_back.append(named)
+        if learned_back:
+            self._end(learned_back)
+            self._expect_back()
+
+    def _has_share_of_before(self, named: _NamedChange) -> bool:
+        """Whether the share that is believed to arrive of a drive is nearly that of before its change."""
+        left = self.competition.change_since(named.row, named.before)
+        return abs(left) <= self._may_be_left(named)
+
+    def _acts_as_before(self, named: _NamedChange) -> bool:
+        """Whether the drives of a change do nearly what they did before."""
+        drive = named.row.cause[1]
+        drives = range(self.competition.drives) if drive == EVERY else (drive,)
+        changes = (self.competition.effect_since(j, named.before) for j in drives)
+        return all(abs(change) <= self._may_be_left(named) for change in changes)
+
+    @staticmethod
+    def _may_be_left(named: _NamedChange) -> float:
+        """How much of a change of a drive may be left when it is over without an end that was seen."""
+        return min(_ENDING.remainder * abs(named.shift), named.row.least)
+
     def _note_change(self, fault: Fault, best: Suspect) -> None:
         """Note that a change stands from now on, and what was believed before it."""
         before = self.competition.believed_before(best.born)
-        self._standing.append(_NamedChange(fault, best.row, before))
+        self._standing.append(_NamedChange(fault, best.row, before, best.shift))
 
     def _name(self, best: Suspect, suspects: list[Suspect]) -> None:
         fault, signal = best.cause
@@ -727,14 +830,19 @@ class ChannelMonitor:
         )
 
     def _share_left(self, suspect: Suspect) -> float:
-        """What is left of a drive's effect, as a share; 1 for anything else."""
+        """What is left of a drive's effect, as a share of what it was before any change that stands; 1 for anything
+        else."""
         number = suspect.row.number
-        is_of_drive = number.startswith("share ")
-        return (
-            max(1.0 + suspect.shift + self.competition.believed(number), 0.0)
-            if is_of_drive
-            else 1.0
+        if not number.startswith("share "):
+            return 1.0
+        now = 1.0 + suspect.shift + self.competition.believed(number)
+        before = self.competition.believed_before(suspect.born)
+        of_drive = (named for named in self._standing if named.row.number == number)
+        first = next(of_drive, None)
+        usual = self.competition.number_in(
+            before if first is None else first.before, number
         )
+        return max(now / max(1.0 + usual, LESS), 0.0)
 
     def _close(self) -> None:
         self._alarms[-1] = replace(self._alarms[-1], last=self._index)

@@ -31,7 +31,7 @@ from twinmatch.health.hypotheses import (
     PlacedFault,
     rows_of,
 )
-from twinmatch.health.mixture import HealthyMixture
+from twinmatch.health.mixture import CROSSING, HealthyMixture
 from twinmatch.health.reading_through import ReadThrough, Rehearsal
 from twinmatch.health.sensors import Jump, LearnedSensor
 from twinmatch.settings import Rule
@@ -64,6 +64,8 @@ follows its plant moves on behind it."""
 _HOUR: Final = 3600.0
 _LEAST_LOG_WEIGHT: Final = math.log(0.01)
 """Log-weight of a level from which on changes begin in it."""
+_CERTAIN: Final = 2.0
+"""Standard deviations of what may cross up to which it may."""
 _INTERESTING: Final = -6.0
 """Evidence below which a cause is not looked at, nats."""
 
@@ -148,6 +150,11 @@ class Competition:
         self.restart()
 
     @property
+    def drives(self) -> int:
+        """Number of drives of the plant."""
+        return int(self._model.rest.size)
+
+    @property
     def known(self) -> float:
         """Time since the beginning, in s of a plant as fast as the rig."""
         return self.healthy.known / self.second
@@ -165,6 +172,10 @@ class Competition:
             maxlen=round(_FOLLOWING.reach * self.second) + self.healthy.latest
         )
         """The newest ones, of each drive, as distances from rest."""
+        self._arrived = deque[FloatArray](
+            maxlen=round((_FOLLOWING.reach + CROSSING.usual) * self.second)
+        )
+        """What arrived lately of each drive at the places of the others."""
         self._values = deque[FloatArray](
             maxlen=round((_FOLLOWING.reach + 4.0 * EVERY) * self.second) + 3
         )
@@ -252,10 +263,20 @@ class Competition:
                 return place
         return -1
 
+    @property
+    def expects_ends_by(self) -> float:
+        """By how much the end of a change is expected more than a change that has not begun, nats."""
+        return math.log(EVERY / _ENDS.lasts * self._onsets)
+
+    @property
+    def _onsets(self) -> float:
+        """Number of ways in which a change may begin in an hour: causes and moments."""
+        causes = int(np.count_nonzero(~self._crosses))
+        return causes * _HOUR / EVERY
+
     def _masses(self, rows: list[ChangeRow]) -> list[float]:
         """Prior probabilities that a row begins now: in an hour one cause does, in one of its rows."""
-        causes = int(np.count_nonzero(~self._crosses))
-        onsets = causes * _HOUR / EVERY
+        onsets = self._onsets
         weights = {
             explanation: self._weight_of(explanation)
             for explanation in self._explanations
@@ -295,6 +316,7 @@ class Competition:
         for sensor, value, it_counts in readings:
             sensor.read(value, it_counts)
         reading, variance = self._reading(values, counts, healthy.acting(u), row)
+        self._arrived.append(reading.crossing.copy())
         levels = healthy.levels
         code = self._model.kernels.code
         step(
@@ -435,6 +457,16 @@ class Competition:
         change = float(healthy.members.at[healthy.best, number] - before[number])
         return math.expm1(change) if row.is_relative else change
 
+    def effect_since(self, drive: int, before: FloatArray) -> float:
+        """By how much more a drive does now than by what was believed before, as a share of that.
+
+        Its share alone does not say that: a filter may learn the same as another parameter.
+        """
+        healthy = self.healthy
+        then = np.linalg.norm(healthy.effect_of(drive, before))
+        now = np.linalg.norm(healthy.effect_of(drive, healthy.members.at[healthy.best]))
+        return float(now / then) - 1.0 if then > 0.0 else 0.0
+
     def _rehearse(self, reading: Reading, variance: FloatArray) -> None:
         """Read through each sensor that is right, to know what such an estimate is worth."""
         for output, rehearsal in enumerate(self.rehearsals):
@@ -561,6 +593,25 @@ class Competition:
         drive = suspect.cause[1]
         return bool(is_enough.any() if drive == EVERY_DRIVE else is_enough[drive])
 
+    def most_that_crosses(self, suspect: Suspect) -> float:
+        """The most that may have crossed to the drive of a suspect from the others, as far as they have moved, as
+        a share of what that drive was asked for since; infinite if it was asked for nothing, or is the only one."""
+        row = self._row_of_crossing(suspect.cause[1])
+        if row is None:
+            return math.inf
+        since = max(self.count - suspect.born, 1)
+        before = round(CROSSING.usual * self.second)
+        asked = np.array(self._commands)[-since:, suspect.cause[1]].mean()
+        arrived = np.array(self._arrived)[-since - before :]
+        moved = arrived.max(axis=0) - arrived.min(axis=0)
+        crosses = _CERTAIN * row.spread * float(np.array(row.follows) @ moved)
+        return crosses / float(asked) if asked > 0.0 else math.inf
+
+    def _row_of_crossing(self, drive: int) -> ChangeRow | None:
+        """The row of what arrives at a drive from the others, if there are any."""
+        rows = (row for row in self._usual if row.crosses and row.cause[1] == drive)
+        return next(rows, None)
+
     def may_accuse(self, suspect: Suspect) -> bool:
         """Whether the equations forecast well what they would be believed in: the output that a cause
         concerns, or all of them. No plant moves as a reading does that jumps.
@@ -621,6 +672,10 @@ class Competition:
             self.healthy.members.at[self.healthy.best, self.healthy.numbers[name]]
         )
 
+    def number_in(self, belief: FloatArray, name: str) -> float:
+        """The value of one of the numbers in a belief, shape (N,)."""
+        return float(belief[self.healthy.numbers[name]])
+
     def remains(self, suspect: Suspect) -> float:
         """Share of a jump of the number that has not faded."""
         return float(
@@ -678,23 +733,38 @@ class Competition:
             by_size[number] = trace[number] / factor
         return change, by_size
 
+    def _trace_of(self, suspect: Suspect, b: int) -> int:
+        """The trace of a suspect in a healthy member: its own, if it has one that began then."""
+        row = suspect.hypothesis // _FOLLOWING.slots % len(self.rows)
+        begin = (b * len(self.rows) + row) * _FOLLOWING.slots
+        traces_of_row = (
+            range(begin, begin + _FOLLOWING.slots) if b < self.healthy.levels else ()
+        )
+        return next(
+            (t for t in traces_of_row if self._traces.born[t] == suspect.born),
+            suspect.hypothesis,
+        )
+
+    def left_after(self, suspect: Suspect, row: ChangeRow, before: FloatArray) -> float:
+        """How far the number of a row would be from what was believed before, if a suspect were taken for how the
+        plant is: a filter may have learned by itself what the suspect explains."""
+        healthy = self.healthy
+        t = self._trace_of(suspect, healthy.best)
+        change, _ = self._adopted(
+            suspect.row, self._traces.trace[t], float(self._traces.mean[t])
+        )
+        number = healthy.numbers[row.number]
+        believed = float(healthy.members.at[healthy.best, number])
+        left = believed + float(change[number]) - float(before[number])
+        return math.expm1(left) if row.is_relative else left
+
     def adopt(self, suspect: Suspect) -> None:
         """Take a change for how the plant is, in every healthy member: by its own trace, if it has one that
         began then."""
         traces = self._traces
         members = self.healthy.members
-        row = suspect.hypothesis // _FOLLOWING.slots % len(self.rows)
         for b in range(self.healthy.healthy):
-            begin = (b * len(self.rows) + row) * _FOLLOWING.slots
-            traces_of_row = (
-                range(begin, begin + _FOLLOWING.slots)
-                if b < self.healthy.levels
-                else ()
-            )
-            t = next(
-                (t for t in traces_of_row if traces.born[t] == suspect.born),
-                suspect.hypothesis,
-            )
+            t = self._trace_of(suspect, b)
             change, spread = self._adopted(
                 suspect.row, traces.trace[t], float(traces.mean[t])
             )

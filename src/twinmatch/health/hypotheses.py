@@ -180,7 +180,7 @@ def _rows_of_drive(j: int, reach: float) -> Iterator[ChangeRow]:
         wanders=MIXED,
     )
     yield weak
-    yield replace(weak, shift=0.3, least=MORE)
+    yield replace(weak, shift=0.3)
     yield replace(weak, shift=0.0, spread=0.3, slowly=300.0, price=RARE)
     push = 0.15 * reach
     least = 0.05 * reach

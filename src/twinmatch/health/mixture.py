@@ -16,7 +16,7 @@ import numpy as np
 from twinmatch.dynamics import Model, Parameters
 from twinmatch.dynamics.bank import BankConstants, BankMembers, weigh
 from twinmatch.dynamics.pace import plant_scale, slow_scale
-from twinmatch.dynamics.simulation import begin
+from twinmatch.dynamics.simulation import advance, begin, readings
 from twinmatch.dynamics.tracker import Assumed
 from twinmatch.health.faults import HOUR
 from twinmatch.health.linear_rival import LinearRival
@@ -32,6 +32,10 @@ _UNDECLARED: Final = 0.7
 two. Heater 2 of a kit has 0.4 to 0.8 of the power of heater 1."""
 _PRIOR_SHARES: Final = (0.7, 0.28, 0.02)
 """Prior probabilities of the levels together, of the other ways together, and of no equations."""
+
+
+_EFFECT_SHOWS: Final = 120.0
+"""Time within which the effect of a drive shows, s of a plant as fast as the rig."""
 
 
 class _Switching(Rule):
@@ -60,7 +64,7 @@ class _Crossing(Rule):
     lasts."""
 
 
-_CROSSING: Final = _Crossing()
+CROSSING: Final = _Crossing()
 
 
 class _ForecastRecord(Rule):
@@ -413,6 +417,34 @@ class HealthyMixture:
         way = before - self.members.at[level]
         return np.asarray(np.where(self.logged, np.expm1(way), way))
 
+    def effect_of(self, drive: int, belief: FloatArray) -> FloatArray:
+        """What a drive does to the outputs within two minutes at its highest command, beside being at rest, by a
+        belief, shape (N,); shape (o,). The other drives rest."""
+        parameters = self._parameters_of(belief)
+        states = self.members.at[self.best, : self._n]
+        rest = self._model.rest
+        driven = rest.copy()
+        limits = list(self._model.plant.drives.values())[drive].limits
+        share = 1.0 + belief[self.numbers[f"share {drive}"]]
+        driven[drive] += (limits[1] - rest[drive]) * share
+        period = _EFFECT_SHOWS * self.scale
+        ends = [
+            readings(parameters, advance(parameters, states, inputs, period))
+            for inputs in (driven, rest)
+        ]
+        return np.asarray(ends[0] - ends[1])
+
+    def _parameters_of(self, belief: FloatArray) -> Parameters:
+        """The parameters of a belief, shape (N,)."""
+        values = {}
+        for name in self._model.structure.free:
+            number = self.numbers[name]
+            start = self.parameters[name]
+            is_logged = self.logged[number]
+            believed = belief[number]
+            values[name] = start * math.exp(believed) if is_logged else start + believed
+        return self.parameters.replace(**values)
+
     def acting(self, u: FloatArray) -> FloatArray:
         """The inputs as they act now, in each way."""
         if self._inputs is None:
@@ -428,9 +460,9 @@ class HealthyMixture:
 
     def _average(self, u: FloatArray) -> None:
         """Follow what the inputs have been lately, and what arrives at the places of other drives."""
-        lag = max(1.0, _CROSSING.lag * self.second)
+        lag = max(1.0, CROSSING.lag * self.second)
         self.crossing_inputs += (u - self.crossing_inputs) / lag
-        recent = max(1.0, _CROSSING.usual * self.second)
+        recent = max(1.0, CROSSING.usual * self.second)
         self.usual_inputs += (u - self.usual_inputs) / recent
 
     def weigh(self, walked: float) -> float:

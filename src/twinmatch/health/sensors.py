@@ -14,6 +14,8 @@ _STANDS: Final = math.log(1.0 - 1e-4)
 """Log-probability with which a frozen sensor repeats its reading."""
 _FAR: Final = 6.0
 """Times a reading's usual movement in a sample from which on it has jumped."""
+_USUAL: Final = 1.2
+"""Times the mean size of its movements that a reading usually moves: a standard deviation."""
 _LEAST: Final = 8.0
 """Times its noise that a jump has at least: an offset is reported from there on."""
 _TAKEN_BACK: Final = 3
@@ -96,6 +98,7 @@ class LearnedSensor:
         self.run_lengths = RunLengths()
         """How long its readings usually stand."""
         self._walk = 2.0 * noise  # how far readings usually move in a sample
+        self._pace = 2.0 * noise  # the same, with repeats as movements of nothing
         self._smallest = math.inf  # movement so far
         self._moves = 0  # movements so far
         # Counts of repeats and of readings: after a new reading, and after a repeat.
@@ -147,7 +150,7 @@ class LearnedSensor:
         near = _between(change, self.step, 1.0 * spread)
         far = _between(change, self.step, 3.0 * spread)
         moved = min(max(abs(change), 0.3 * self.noise), 4.0 * spread)
-        self._walk += (1.2 * moved - spread) / (30.0 * self._second)
+        self._walk += (_USUAL * moved - spread) / (30.0 * self._second)
         likelihood = 0.95 * near + 0.05 * far
         junk = JUNK * min(self.step / self._span, 1.0)
         # A reading that says nothing is not where the next one starts, but two are.
@@ -183,6 +186,8 @@ class LearnedSensor:
             if self._counted[1] > 500.0:
                 self._counted[:] = 0.5 * self._counted[0], 0.5 * self._counted[1]
         moved = abs(value - before)
+        steady = min(moved, 4.0 * self._walk)
+        self._pace += (_USUAL * steady - self._pace) / (30.0 * self._second)
         if moved > 1e-9:
             self._moves = self._moves + 1
             self._smallest = min(self._smallest, moved)
@@ -199,9 +204,9 @@ class LearnedSensor:
         """
         age, size, since = self.jump
         self.jump = Jump(age + 1, size, since + moved)
-        is_far = abs(moved) > max(
-            _FAR * self._walk, _LEAST * self.noise, _LEAST * self._usual
-        )
+        # A display with coarse steps moves by one now and then, and its plant far less in a sample.
+        usually = min(_FAR * self._walk, _FAR * self._pace + self.step)
+        is_far = abs(moved) > max(usually, _LEAST * self.noise, _LEAST * self._usual)
         if not is_far or expected * moved >= _EXPECTED * moved**2:
             return
         is_taken_back = age < _TAKEN_BACK and abs(moved + size) < 0.5 * abs(size)
