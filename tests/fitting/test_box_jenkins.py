@@ -31,6 +31,7 @@ from twinmatch.fitting.delayed import (
     ridge_solve,
     triangularise,
 )
+from twinmatch.fitting.descent import Rules, descend
 from twinmatch.fitting.polynomials import (
     LARGEST_ROOT,
     all_pole_into,
@@ -185,6 +186,25 @@ def test_estimated_start_finds_any_transient(model: BoxJenkins, u: np.ndarray) -
     )
     np.testing.assert_allclose(model.prediction_errors(u, y), 0.0, atol=1e-7)
     assert model.loss(u, y, "zero") > 1.0
+
+
+@pytest.mark.parametrize(
+    ("order", "hops", "most"),
+    [("22221", 0, 1e-6), ("44441", 0, 1e-3), ("44441", 1, 1e-6)],
+)
+def test_a_search_leaves_little_of_the_way_to_rounding(
+    order: str, hops: int, most: float
+) -> None:
+    """In characters of the window's code, to the minimum into which it has fallen."""
+    rng = np.random.default_rng(12)
+    u = rng.standard_normal(300)
+    y = lfilter(B, F, u) + lfilter(C, D, 0.5 * rng.standard_normal(300))
+    found = estimate(u, y, order, hops=hops).found
+    assert found is not None
+    task, end = found
+    until_rounding, _, _ = descend(task, end.theta, Rules(steps=100, settled=1e-14))
+    left = 0.5 * u.size * np.log10(end.cost / until_rounding.cost)
+    assert -1e-9 <= left < most
 
 
 def test_own_initial_state_gives_the_loss_of_the_estimate() -> None:

@@ -161,19 +161,33 @@ def test_skill_is_the_share_of_a_baselines_error_that_is_saved() -> None:
             "a": [[2.0], [0.5]] * noise_sized,
         }
     )
-    by_persistence, by_arx = ledger.skills("a")[0][:, 0]
+    [[[by_persistence], [by_arx]]] = ledger.skills(["a"])[0]
     assert by_persistence == pytest.approx(1 - 1 / 4, abs=3 * 4 / n)
     assert by_arx == pytest.approx(1 - np.sqrt(4 * 2), abs=0.02)
 
 
 def test_skill_is_given_after_some_forecasts_only_and_is_inherited() -> None:
     few = {PERSISTENCE: drawn(4.0, 3, 1), "a": drawn(1.0, 3, 2)}
-    assert np.isnan(entered(few).skills("a")).all()
-    assert np.isnan(Ledger(np.ones(1), NOISE, 1.0).skills("a")).all()
+    assert np.isnan(entered(few).skills(["a"])).all()
+    assert np.isnan(Ledger(np.ones(1), NOISE, 1.0).skills(["a"])).all()
     ledger = entered({PERSISTENCE: drawn(4.0, 9, 1), "a": drawn(1.0, 9, 2)})
     ledger.inherit("heir", "a")
-    np.testing.assert_array_equal(ledger.skills("heir"), ledger.skills("a"))
-    assert (ledger.skills("a")[0] > 0).all()
+    np.testing.assert_array_equal(ledger.skills(["heir"]), ledger.skills(["a"]))
+    assert (ledger.skills(["a"])[0] > 0).all()
+
+
+@pytest.mark.parametrize("signal", [None, 0, 1])
+def test_skills_of_several_are_those_of_each(signal: int | None) -> None:
+    ledger = entered(
+        {PERSISTENCE: drawn(4.0, 9, 1), "a": drawn(1.0, 9, 2), "b": drawn(2.0, 9, 3)}
+    )
+    names = ["b", "nobody", "a"]
+    of_each = [ledger.skills([name], signal) for name in names]
+    np.testing.assert_array_equal(
+        ledger.skills(names, signal), np.concatenate(of_each, axis=1)
+    )
+    assert not np.array_equal(of_each[0], of_each[2])
+    assert np.isnan(of_each[1]).all()
 
 
 def moving(rng: np.random.Generator, samples: int, overlap: int) -> FloatArray:
@@ -203,8 +217,8 @@ def test_of_two_that_are_equally_good_none_is_better_but_by_chance(
             ledger.add(
                 ["equal", "worse"], errors, np.array([baseline] * 2)[..., k : k + 1], 0
             )
-        alarms += ledger.skills("equal")[1][0, 0] < 0.0
-        worse_found += ledger.skills("worse")[1][0, 0] < 0.0
+        alarms += ledger.skills(["equal"])[1][0, 0, 0] < 0.0
+        worse_found += ledger.skills(["worse"])[1][0, 0, 0] < 0.0
     assert alarms <= 0.06 * runs
     assert worse_found > 0.9 * runs
 

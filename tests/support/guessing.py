@@ -59,7 +59,9 @@ def ever_trusted(seed: int, seconds: int = 3600, better: float = 1.0) -> Iterato
             ledger.add(twins, errors[:, None], baselines, place)
         for name in twins if second % 120 == 0 else ():
             skills = [
-                tuple(skill.tolist()) for part in ledger.skills(name) for skill in part
+                tuple(skill.tolist())
+                for [of_twin] in ledger.skills([name])
+                for skill in of_twin
             ]
             score = ForecastScore(name, PARAMETERS, 0, 0, 0.0, (), 0.0, *skills)
             doubts = score.doubts(HORIZONS, trusted[name])

@@ -57,10 +57,13 @@ class GraphSymbol:
     """Negated roots of the stable spectral factor of |d|² + |N|², so in the right half plane, (n,)."""
 
     def __post_init__(self) -> None:
+        trimmed = trim(self.column)
+        high, low = split(trimmed)
         column = without_unstable_common_factor(
-            trim(self.column), discrete=bool(self.period)
+            trimmed, high, discrete=bool(self.period)
         )
-        high, low = split(column)
+        if column is not trimmed:
+            high, low = split(column)
         object.__setattr__(self, "column", column)
         object.__setattr__(self, "coefficients", (high, low))
         object.__setattr__(

@@ -94,7 +94,7 @@ def linearised_in_loop(
     row = np.array(set_point, dtype=np.float64, ndmin=1)
     run = simulate_closed_loop(
         parameters,
-        np.tile(row, (loop.samples, 1)),
+        np.full((loop.samples, row.size), row),
         states=begin(parameters, row),
         law=loop.law,
     )

@@ -25,7 +25,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.polynomial import polynomial as power
 from numpy.typing import NDArray
 
 from twinmatch.errors import TwinmatchError
@@ -181,12 +180,22 @@ MAX_STEPS = 500
 def roots_of_even_part(polynomial: Polynomial) -> NDArray[np.complex128]:
     """Roots in Ω² of a polynomial that is positive for real Ω; those near the real axis refined."""
     high, _ = split([polynomial])
-    roots: NDArray[np.complex128] = np.asarray(
-        np.roots(high[0, ::-1]), dtype=np.complex128
-    )
+    roots = _roots(high[0])
     if np.any((roots.real > 0) & (np.abs(roots.imag) < NEAR * np.abs(roots))):
         return _refine_roots(polynomial)
     return roots
+
+
+def _roots(ascending: FloatArray) -> NDArray[np.complex128]:
+    """Roots of a polynomial, constant first: the eigenvalues of its companion matrix.
+
+    Neither end of a trimmed polynomial is zero, and `numpy.roots` spends most of its time on looking for zeros there.
+    """
+    if ascending[0] == 0.0 or ascending[-1] == 0.0:  # too small for a float
+        return np.asarray(np.roots(ascending[::-1]), dtype=np.complex128)
+    companion = np.eye(ascending.size - 1, k=-1)
+    companion[:1] = ascending[-2::-1] / -ascending[-1]
+    return np.linalg.eigvals(companion).astype(np.complex128)
 
 
 def _refine_roots(polynomial: Polynomial) -> NDArray[np.complex128]:
@@ -212,7 +221,7 @@ def column_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Col
         DiscriminationError: an entry is not finite.
     """
     order = len(A)
-    whole, scale = _integers(np.block([[A, B], [C, D]]))
+    whole, scale = _integers(np.vstack([np.hstack([A, B]), np.hstack([C, D])]))
     a = whole[:order, :order]
     b = whole[:order, order:]
     c = whole[order:, :order]
@@ -287,13 +296,14 @@ class _CommonFactor:
 _COMMON: Final = _CommonFactor()
 
 
-def without_unstable_common_factor(column: Column, *, discrete: bool) -> Column:
-    """Divide the column by its common factor if that has a root that is not clearly stable.
+def without_unstable_common_factor(
+    column: Column, high: FloatArray, *, discrete: bool
+) -> Column:
+    """Divide the column, in floats `high`, by its common factor if that has a root that is not clearly stable.
 
     Rounding errors in coefficients of z appear in those of w relative to the largest; a continuous model has
     no natural frequency unit, so the one that balances its coefficients is used.
     """
-    high, _ = split(column)
     scale = 1.0 if discrete else _frequency(high)
     rows = high * scale ** np.arange(high.shape[1])
     rows /= np.abs(rows).max()
@@ -321,7 +331,8 @@ def _frequency(rows: FloatArray) -> float:
 
 def _shares_unstable_root(rows: FloatArray) -> bool:
     """Whether all polynomials nearly vanish at a root of the first that is not clearly stable."""
-    roots = power.polyroots(np.trim_zeros(rows[0], "b"))
+    degree = int(np.flatnonzero(rows[0])[-1])
+    roots = _roots(rows[0, : degree + 1])
     for root in roots[roots.real >= -ON_AXIS * np.maximum(1, np.abs(roots))]:
         powers = root ** np.arange(rows.shape[1])
         if np.all(np.abs(rows @ powers) <= SUSPECT * np.abs(powers).max()):

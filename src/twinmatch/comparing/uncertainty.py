@@ -51,7 +51,10 @@ HALVINGS = 7
 def directions(responses: Complex) -> Complex:
     """Columns [1; P] of length 1, shape (…, 2), for responses P of any shape."""
     scale = 1 / np.sqrt(1.0 + (responses.real**2 + responses.imag**2))
-    return np.stack([scale.astype(np.complex128), responses * scale], axis=-1)
+    columns = np.empty((*responses.shape, 2), dtype=np.complex128)
+    columns[..., 0] = scale
+    columns[..., 1] = responses * scale
+    return columns
 
 
 @compiled
@@ -126,17 +129,23 @@ def failing_draws(
     width = a.size // failed.size
     fails = np.full(c.shape[1], failed.any())
     top = math.sqrt(a.max())
+    largest = np.zeros(c.shape[1])
+    for w in range(c.shape[0]):
+        for s in range(c.shape[1]):
+            largest[s] = c[w, s] if c[w, s] > largest[s] else largest[s]
+    turns_before = np.empty(failed.size)
+    for p in range(failed.size):
+        part = slice(p * width, (p + 1) * width)
+        turns_before[p] = turn(still[0][part], still[1][part])
     for s in range(c.shape[1]):
-        if not failed.any() and top + math.sqrt(c[:, s].max()) < 1:
+        if not failed.any() and top + math.sqrt(largest[s]) < 1:
             continue
         fails[s] = False
         for p in range(failed.size):
             part = slice(p * width, (p + 1) * width)
-            before = turn(still[0][part], still[1][part])
-            changed = (
-                abs(turn(moved[0][s, part], moved[1][s, part]) - before) > 0.5 * math.pi
-            )
-            if changed != failed[p]:
+            after = turn(moved[0][s, part], moved[1][s, part])
+            has_changed = abs(after - turns_before[p]) > 0.5 * math.pi
+            if has_changed != failed[p]:
                 fails[s] = True
     return fails
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -86,7 +87,7 @@ def n_references(plant: type[Plant], loop: Law | None) -> int:
     """
     if loop is None:
         return len(plant.drives)
-    if any(plant.model(name).instant for name in plant.structures):
+    if _has_instant(plant, tuple(plant.structures)):
         raise PlantError(
             f"plant {plant.name}: an output depends on a drive at the same instant, so a controller reads "
             "what its command changes; leave out the loop (its input drives the twin), or add a state between"
@@ -98,6 +99,12 @@ def n_references(plant: type[Plant], loop: Law | None) -> int:
             f"plant has {len(plant.outputs)} and {len(plant.drives)}"
         )
     return loop.n_references
+
+
+@cache
+def _has_instant(plant: type[Plant], structures: tuple[str, ...]) -> bool:
+    """Whether an output depends on a drive at the same instant in one of a plant's structures."""
+    return any(plant.model(name).instant for name in structures)
 
 
 def pid_of(plant: type[Plant]) -> PidGains:

@@ -108,8 +108,10 @@ class ArxForecast(NamedTuple):
     def referees(self, ahead: FloatArray, rows: FloatArray | None) -> FloatArray:
         """Forecasts of all `BASELINES`, in their order, shape (baselines, o + m, N); see `forecast`."""
         of_arx = self.forecast(ahead, rows)
-        of_persistence = np.broadcast_to(self.standing[:, None], of_arx.shape)
-        return np.stack([of_persistence, of_arx])
+        of_all = np.empty((2, *of_arx.shape))
+        of_all[0] = self.standing[:, None]
+        of_all[1] = of_arx
+        return of_all
 
     def forecast(self, ahead: FloatArray, rows: FloatArray | None) -> FloatArray:
         """Outputs and inputs, shape (o + m, N), under these set-points, or inputs if the loop is not known.
@@ -272,9 +274,10 @@ class Arx:
             return fit._replace(level=level)
         o = len(self.visited)
         relative = new - level
-        lags = [relative[places - lag] for lag in range(1, MAX_ORDER + 1)]
+        before = places[:, None] - np.arange(1, MAX_ORDER + 1)
+        lags = relative[before].reshape(places.size, -1)
         steps = new[places, :o] - new[places - 1, :o]
-        rows = np.hstack([np.ones((places.size, 1)), *lags, steps])
+        rows = np.hstack([np.ones((places.size, 1)), lags, steps])
         weights = self._kept ** np.arange(places.size - 1, -1, -1)
         factor = fit.factor if fit.rows else np.zeros((rows.shape[1], rows.shape[1]))
         earlier = self._kept ** (places.size / 2) * factor

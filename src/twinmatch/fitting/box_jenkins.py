@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,10 +44,26 @@ Outcome = tuple[Place, bool, int]
 ROUTE = 50
 """Largest number of steps from a start; the search then continues from the best."""
 COARSE = 1e-6
-FINE = 1e-11
-"""`Rules.settled` for the starts, and for the final search."""
-LOST = 1e-8
-"""Share of the cost by which the two factorisations may differ before the search is repeated with QR."""
+"""`Rules.settled` for the starts."""
+
+
+class Ends(NamedTuple):
+    """When the searches for a model end."""
+
+    faith: float
+    """`Rules.faith` of all starts but the first."""
+    fine: float
+    """`Rules.settled` for the final search."""
+    lost: float
+    """Share of the cost by which the two factorisations may differ before the search is repeated with QR."""
+
+
+THOROUGH: Final = Ends(faith=5.0, fine=1e-11, lost=1e-8)
+EARLY: Final = Ends(faith=2.0, fine=1e-8, lost=1e-6)
+"""Without hops, for orders with a higher degree than `CLEAR`."""
+CLEAR: Final = 3
+"""Highest degree of C, D and F with which the data of a window, and not their last bits, decide into which of
+several minima a search falls."""
 WORTH = 1e-4
 """A start that seems to gain less than this share over the best is abandoned."""
 HOPS = (36, 108)
@@ -300,26 +316,34 @@ def _pad(model: BoxJenkins, order: Order) -> FloatArray:
 
 def _best(task: Task, order: Order, thetas: list[FloatArray], hops: int) -> Outcome:
     """The lowest minimum from all starts, refined with the exact factorisation."""
+    ends = _ends(order, hops)
     best, _, steps = descend(task, thetas[0], Rules(ROUTE, COARSE))
     around = Hops(order)
     for k in range(1, len(thetas) + (hops if around.possible else 0)):
         theta = thetas[k] if k < len(thetas) else around.from_model(best.theta)
+        rival = best.cost * (1.0 - WORTH)
         retried, _, steps_taken = descend(
-            task, theta, Rules(ROUTE, COARSE, best.cost * (1.0 - WORTH))
+            task, theta, Rules(ROUTE, COARSE, rival, faith=ends.faith)
         )
         if retried.cost < best.cost:
             best = retried
             steps = steps_taken
-    best, converged, steps_taken = descend(task, best.theta, Rules(LAST, FINE))
+    best, converged, steps_taken = descend(task, best.theta, Rules(LAST, ends.fine))
     steps += steps_taken
-    polished, _, _ = descend(task, best.theta, Rules(0, FINE, exact=True))
-    if abs(polished.cost - best.cost) > LOST * best.cost:
+    polished, _, _ = descend(task, best.theta, Rules(0, ends.fine, exact=True))
+    if abs(polished.cost - best.cost) > ends.lost * best.cost:
         # the normal equations had lost digits
         polished, converged, steps_taken = descend(
-            task, best.theta, Rules(LAST, FINE, exact=True)
+            task, best.theta, Rules(LAST, ends.fine, exact=True)
         )
         steps += steps_taken
     return polished, converged, steps
+
+
+def _ends(order: Order, hops: int) -> Ends:
+    """When the searches for a model of this order end; hops are for the global minimum."""
+    is_clear = max(order.nc, order.nd, order.nf) <= CLEAR
+    return THOROUGH if is_clear or hops > 0 else EARLY
 
 
 def _model(task: Task, order: Order, outcome: Outcome, period: float) -> BoxJenkins:

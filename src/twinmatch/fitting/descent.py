@@ -36,9 +36,6 @@ NOISE_FREE = 1e-26
 EPSILON = 1e-14
 """Curvature of an axis, relative to the largest, below which it is rounding."""
 TRIAL = 4
-FAITH = 5.0
-"""A search is abandoned after `TRIAL` steps if this many times the predicted gain of its undamped step would
-not reach the rival."""
 STIFF = 1e8
 """Damping at which the search stops."""
 
@@ -54,6 +51,9 @@ class Rules(NamedTuple):
     """Cost of another search; this one is abandoned if it seems out of reach after `TRIAL` steps."""
     exact: bool = False
     """Factorise by QR instead of normal equations, for the last digits."""
+    faith: float = 5.0
+    """A search is abandoned after `TRIAL` steps if this many times the predicted gain of its undamped step would
+    not reach the rival."""
 
 
 class Quadratic(NamedTuple):
@@ -226,7 +226,7 @@ def descend(task: Task, theta: FloatArray, rules: Rules) -> tuple[Place, bool, i
         predicted = damped_step(quadratic, 0.0)[1]
         if predicted <= rules.settled * place.cost:
             return place, True, iteration
-        if iteration >= TRIAL and place.cost - FAITH * predicted > rules.rival:
+        if iteration >= TRIAL and place.cost - rules.faith * predicted > rules.rival:
             return place, False, iteration
         while True:
             delta, expected = damped_step(quadratic, damping)

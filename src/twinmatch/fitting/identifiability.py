@@ -89,10 +89,11 @@ def suggest_step(
         *(plant.output.set_points or plant.output.span), _SUGGESTION.levels
     )
     least_step = _SUGGESTION.least_step * (levels[1] - levels[0])
+    last_part = _last_part(problem)
     steps: list[_StepGain] = []
     for level in sorted(levels.tolist(), key=lambda level: abs(level - present)):
         if abs(level - present) >= least_step:
-            after = _after_step(problem, values, level)
+            after = _after_step(problem, values, last_part, level)
             if after is not None:
                 variance_before = least_known @ before @ least_known
                 variance_after = least_known @ after @ least_known
@@ -126,17 +127,23 @@ class _StepGain(NamedTuple):
     """The parameter in question."""
 
 
-def _after_step(
-    problem: Problem, values: FloatArray, level: float
-) -> FloatArray | None:
-    """Scaled covariance from the next window; None if the output does not reach the set-point."""
+def _last_part(problem: Problem) -> Window:
+    """The window's last regime, from a little before the step to it."""
     window = problem.window
     noise = problem.base.model.plant.output.noise
     steps = np.flatnonzero(
         np.abs(np.diff(window.reference)) >= _SUGGESTION.moved * noise
     )
     first = max(int(steps[-1]) + 1 - _SUGGESTION.lead, 0) if steps.size else 0
-    last_part = window.part(window.first + first, window.last)
+    return window.part(window.first + first, window.last)
+
+
+def _after_step(
+    problem: Problem, values: FloatArray, last_part: Window, level: float
+) -> FloatArray | None:
+    """Scaled covariance from the next window, which begins with the last part of this one; None if the output
+    does not reach the set-point."""
+    noise = problem.base.model.plant.output.noise
     ahead = Window(
         np.full(_SUGGESTION.after, level),
         np.full(_SUGGESTION.after, last_part.output[-1]),

@@ -222,19 +222,20 @@ class Calibration:
     def widths(self) -> FloatArray:
         """Half width of a band in standard deviations, at every lead, shape (signals, L)."""
         if self._stale:
-            weights_by_age = np.array(self._weights)
             # Leads up to the same horizon have learned as much.
-            weights_of: dict[tuple[int, int], FloatArray] = {}
-            for lead in self._stale:
-                size = self._end[lead] - self._first[lead]
-                learned = self._learned[lead]
-                weights = weights_of.get((size, learned))
-                if weights is None:
-                    ages = np.arange(size - 1, -1, -1)
-                    # Those of the prior are as old as the first that was learned.
-                    weights = weights_by_age[np.minimum(ages, learned)]
-                    weights_of[size, learned] = weights
-                self._quantiles[:, lead] = self._quantile(lead, weights)
+            leads_by_history: dict[tuple[int, int, int], list[int]] = {}
+            for lead in sorted(self._stale):
+                history = self._first[lead], self._end[lead], self._learned[lead]
+                leads_by_history.setdefault(history, []).append(lead)
+            weights_by_age = np.array(self._weights)
+            for (first, end, learned), leads in leads_by_history.items():
+                ages = np.arange(end - first - 1, -1, -1)
+                # Those of the prior are as old as the first that was learned.
+                weights = weights_by_age[np.minimum(ages, learned)]
+                places = _places(leads)
+                self._quantiles[:, places] = self._quantiles_of(
+                    self._quotients[places, :, first:end], places, weights
+                )
             self._stale.clear()
         return self._quantiles * self._scales
 
@@ -260,24 +261,24 @@ class Calibration:
             scales[signal] = scales_of_output
         return scales
 
-    def _quantile(self, lead: int, weights: FloatArray) -> list[float]:
-        """The quantile of the quotients, with these weights, of each signal that a band has to hold.
-
-        Signal by signal: of so few quotients, arrays of one row are sorted in a third of the time.
-        """
-        quotients = self._quotients[lead, :, self._first[lead] : self._end[lead]]
-        size = quotients.shape[1]
+    def _quantiles_of(
+        self, quotients: FloatArray, places: slice | list[int], weights: FloatArray
+    ) -> FloatArray:
+        """The quantiles, shape (signals, n), of quotients, shape (n, signals, N), at n leads, with weights,
+        shape (N,)."""
+        # The next forecast counts as one more, with an unknown quotient: at long leads as more than one,
+        # since it shares less with those before than they do with each other.
+        of_outputs = self._uncovered[places] ** -0.5
+        weight_of_next = np.where(self._is_output, of_outputs[:, None], 1.0)
         weight_of_all = np.add.reduce(weights)
-        quantiles = []
-        for of_signal, is_output in zip(quotients, self._is_output, strict=True):
-            # The next forecast counts as one more, with an unknown quotient: at long leads as more than one,
-            # since it shares less with those before than they do with each other.
-            weight_of_next = self._uncovered[lead] ** -0.5 if is_output else 1.0
-            order = of_signal.argsort(kind="stable")
-            share = weights[order].cumsum() / (weight_of_all + weight_of_next)
-            rank = min(int(share.searchsorted(CONFIDENCE)), size - 1)
-            quantiles.append(float(of_signal[order[rank]]))
-        return quantiles
+        order = quotients.argsort(axis=2, kind="stable")
+        cumulated = weights[order].cumsum(axis=2)
+        share = cumulated / (weight_of_all + weight_of_next)[:, :, None]
+        # As shares rise, this is the first place at which the share reaches the confidence.
+        rank = np.add.reduce(share < CONFIDENCE, axis=2, keepdims=True)
+        rank = np.minimum(rank, len(weights) - 1)
+        chosen = np.take_along_axis(order, rank, axis=2)
+        return np.take_along_axis(quotients, chosen, axis=2)[:, :, 0].T
 
 
 def _places(leads: Sequence[int]) -> slice | list[int]:
@@ -424,8 +425,9 @@ class Ledger:
         before = self.kept * account[:, _COUNTED, None]
         counted = before + 1.0
         account[:, _COUNTED] = counted[:, 0]
-        of_baselines = np.tile(means[: len(BASELINES)].ravel(), (len(means), 1))
-        sizes_beside = np.hstack([means, of_baselines])
+        sizes_beside = np.empty((len(means), self.noise.size * (1 + len(BASELINES))))
+        sizes_beside[:, : self.noise.size] = means
+        sizes_beside[:, self.noise.size :] = means[: len(BASELINES)].ravel()
         account[:, self._sizes] = (
             before * account[:, self._sizes] + sizes_beside
         ) / counted
@@ -443,33 +445,36 @@ class Ledger:
         return np.asarray(characters.sum(axis=1))
 
     def skills(
-        self, name: str, signal: int | None = None
+        self, names: Sequence[str], signal: int | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Skill of a candidate at each horizon beside each of `BASELINES`, and the upper end of its one-sided
-        95 % interval, shape (baselines, H) each.
+        """Skills of candidates at each horizon beside each of `BASELINES`, and the upper ends of their
+        one-sided 95 % intervals, shape (C, baselines, H) each.
 
         Of all signals it is the geometric mean of the ratios that counts. NaN where too few forecasts
         were compared.
         """
         count = len(BASELINES)
-        if name not in self._rows:
-            unknown = np.full((count, self.horizons), np.nan)
-            return unknown, unknown
-        account = self._accounts[self._rows[name]]
-        sizes = account[:, self._sizes].T.reshape(1 + count, -1, self.horizons)
-        squares = account[:, self._squares].T
-        ratios = np.log(sizes[0] / sizes[1:])
+        accounts = self._accounts_of(names)
+        sizes = accounts[:, :, self._sizes]
+        sizes_by_source = sizes.reshape(*sizes.shape[:2], 1 + count, self.noise.size)
+        ratios = np.log(sizes_by_source[:, :, :1] / sizes_by_source[:, :, 1:])
+        squares = accounts[:, :, self._squares]
         if signal is None:
-            ratios = ratios.mean(axis=1)
-            squares = squares[:count]
+            ratios = ratios.mean(axis=3)
+            squares = squares[:, :, :count]
         else:
-            ratios = ratios[:, signal]
-            squares = squares[count + signal :: self.noise.size]
-        errors = np.sqrt(squares / (account[:, _COUNTED] * self._uncovered))
-        has_enough = account[:, _WEIGHT] >= _ACCOUNTS.compared
-        skill = 1.0 - np.exp(ratios)
-        high = 1.0 - np.exp(ratios - ONE_SIDED * errors)
-        return np.where(has_enough, skill, np.nan), np.where(has_enough, high, np.nan)
+            ratios = ratios[:, :, :, signal]
+            squares = squares[:, :, count + signal :: self.noise.size]
+        compared = accounts[:, :, _COUNTED] * self._uncovered
+        errors = np.sqrt(squares / compared[:, :, None])
+        has_enough = accounts[:, :, _WEIGHT, None] >= _ACCOUNTS.compared
+        skills = np.where(has_enough, 1.0 - np.exp(ratios), np.nan)
+        highs = np.where(has_enough, 1.0 - np.exp(ratios - ONE_SIDED * errors), np.nan)
+        return skills.swapaxes(1, 2), highs.swapaxes(1, 2)
+
+    def _accounts_of(self, names: Sequence[str]) -> FloatArray:
+        """The accounts of candidates, shape (C, H, columns); an empty one where there is none."""
+        return np.asarray(self._accounts[[self._rows.get(name, -1) for name in names]])
 
     def forecasts(self, name: str) -> float:
         """Effective number of a candidate's scored forecasts at all horizons, older ones weighted less."""
@@ -486,7 +491,7 @@ class Ledger:
         """
         if 0 not in self._rows:
             return np.full((len(names), self.horizons), np.nan)
-        accounts = self._accounts[[self._rows.get(name, -1) for name in names]]
+        accounts = self._accounts_of(names)
         lengths = accounts[:, :, _LENGTH]
         weights = accounts[:, :, _WEIGHT]
         first, counts = self._accounts[self._rows[0], :, :_COUNTED].T
@@ -504,6 +509,7 @@ def _squared_differences(relative: FloatArray) -> FloatArray:
     """
     by_source = relative.reshape(len(relative), 1 + len(BASELINES), -1)
     differences = by_source[:, :1] - by_source[:, 1:]
-    of_all = differences.mean(axis=2)
+    # As `np.mean`, to the bit; see `Ledger.add`.
+    of_all = np.add.reduce(differences, axis=2) / differences.shape[2]
     of_each = differences.reshape(len(relative), -1)
     return np.asarray(np.square(np.hstack([of_all, of_each])))

@@ -125,7 +125,7 @@ class Standings:
     @cached_property
     def scores(self) -> tuple[ForecastScore, ...]:
         """Scores of all candidates, in their order."""
-        return tuple(map(self._score, self._saved))
+        return self._scores_of(tuple(self._saved))
 
     @property
     def alone(self) -> dict[str, ForecastScore]:
@@ -134,13 +134,30 @@ class Standings:
             return {}
         plant = self._entrants[self.leader].candidate.parameters.model.plant
         names = [*plant.outputs, *plant.drives][: self._ledger.noise.size]
-        return {
-            name: self._score(self.leader, signal) for signal, name in enumerate(names)
-        }
+        alone = {}
+        for signal, name in enumerate(names):
+            [alone[name]] = self._scores_of((self.leader,), signal)
+        return alone
 
-    def _score(self, name: str, signal: int | None = None) -> ForecastScore:
-        """The score of a candidate; its skills and bands in all signals or in one."""
-        assert self._ledger is not None  # noqa: S101
+    def _scores_of(
+        self, names: Sequence[str], signal: int | None = None
+    ) -> tuple[ForecastScore, ...]:
+        """The scores of candidates; their skills and bands in all signals or in one."""
+        if self._ledger is None:
+            return ()
+        skills_and_highs = np.concatenate(self._ledger.skills(names, signal), axis=1)
+        forecasts = map(self._ledger.forecasts, names)
+        of_each = zip(names, skills_and_highs.tolist(), forecasts, strict=True)
+        return tuple(self._score(*of_one, signal) for of_one in of_each)
+
+    def _score(
+        self,
+        name: str,
+        skills: list[list[float]],
+        forecasts: float,
+        signal: int | None,
+    ) -> ForecastScore:
+        """The score of a candidate with these values of `_SKILLS`, and so many forecasts."""
         candidate = self._entrants[name].candidate
         calibration = self._entrants[name].calibration
         savings = self._saved[name]
@@ -154,7 +171,6 @@ class Standings:
             share_inside, effective = calibration.coverage(before, horizon, signal)
             coverage.append(share_inside)
             independent.append(effective)
-        skills = np.concatenate(self._ledger.skills(name, signal)).tolist()
         return ForecastScore(
             name=name,
             parameters=candidate.parameters,
@@ -162,7 +178,7 @@ class Standings:
             last=last,
             gain=savings.total,
             gains=tuple(savings.by_horizon),
-            forecasts=self._ledger.forecasts(name),
+            forecasts=forecasts,
             coverage=tuple(coverage),
             independent=tuple(independent),
             **dict(zip(_SKILLS, map(tuple, skills), strict=True)),
@@ -174,8 +190,8 @@ class Standings:
         if self._ledger is None:
             return {}
         gains = self._ledger.gains(tuple(self._entrants))
-        totals = np.where(
-            np.isfinite(gains).any(axis=1), np.nansum(gains, axis=1), np.nan
-        )
+        is_known = ~np.isnan(gains)
+        known_sums = np.add.reduce(np.where(is_known, gains, 0.0), axis=1)
+        totals = np.where(is_known.any(axis=1), known_sums, np.nan)
         saved = map(_Savings, totals.tolist(), gains.tolist())
         return dict(zip(self._entrants, saved, strict=True))
