@@ -30,7 +30,7 @@ from twinmatch.offline.backtest import (
     backtest_session,
     graded,
 )
-from twinmatch.offline.backtest.origins import ask, mark, origins
+from twinmatch.offline.backtest.origins import NamedForecast, ask, origins, scores
 from twinmatch.offline.backtest.scoring import (
     CONSTANT,
     HINDSIGHT,
@@ -302,14 +302,9 @@ def tested() -> Backtest:
             ).items():
                 origin = origin_at[sample.index]
                 forecaster = PEERS[name]
-                marked += mark(
-                    "loop",
-                    forecaster,
-                    forecast,
-                    origin,
-                    horizons=HORIZONS,
-                    plant=Peltier,
-                )
+                named = NamedForecast(forecaster, "", forecast)
+                (of_forecast,) = scores("loop", HORIZONS, origin, Peltier, 0, [named])
+                marked += of_forecast
                 shown.append(forecast)
     return Backtest(
         name="loop",

@@ -15,11 +15,12 @@ from twinmatch.dynamics import begin, simulate_closed_loop
 from twinmatch.forecasting import HORIZONS, ArxForecast
 from twinmatch.offline.backtest.origins import (
     PAST,
+    NamedForecast,
     Origin,
     SettledStretch,
     ask,
-    mark,
     origins,
+    scores,
 )
 from twinmatch.offline.backtest.run import with_constant_band
 from twinmatch.offline.backtest.scoring import (
@@ -33,6 +34,7 @@ from twinmatch.offline.backtest.scoring import (
     common,
     interval_score,
     marks,
+    marks_of_each,
     samples_within,
 )
 from twinmatch.plants import Peltier
@@ -157,27 +159,56 @@ def test_a_forecast_is_marked_at_the_horizons_that_came() -> None:
     loop = linear_loop(set_points(200, 3), np.random.default_rng(3))
     (origin,) = origins([loop], [119], HORIZONS)
     forecast = ask(nothing_changes(origin), origin)["persistence"]
-    marked_horizons = mark(
-        "a", "somebody", forecast, origin, horizons=HORIZONS, plant=Peltier
+    perfect = forecast_of(119, loop.output[120:], loop.input[120:])
+    marked_horizons, of_perfect = scores(
+        "a",
+        HORIZONS,
+        origin,
+        Peltier,
+        0,
+        [NamedForecast("somebody", "", forecast), NamedForecast("s", "", perfect)],
     )
     assert [(m.session, m.sample, m.who, m.horizon) for m in marked_horizons] == [
         ("a", 119, "somebody", 10.0),
         ("a", 119, "somebody", 60.0),
     ]
-    perfect = forecast_of(119, loop.output[120:], loop.input[120:])
-    assert all(
-        m.marks.error == 0.0
-        for m in mark("a", "s", perfect, origin, horizons=HORIZONS, plant=Peltier)
+    assert [m.who for m in of_perfect] == ["s", "s"]
+    assert all(m.marks.error == 0.0 for m in of_perfect)
+
+
+def test_forecasts_scored_together_have_the_marks_that_each_has_alone() -> None:
+    random = np.random.default_rng(5)
+    seen = random.random(60) < 0.8
+    actual = Window(
+        random.normal(50.0, 20.0, 60),
+        random.normal(50.0, 20.0, 60),
+        random.normal(0.0, 99.0, 60),
+        first=10,
+        seen=seen,
     )
+    forecasts = [
+        forecast_of(
+            9, random.normal(50.0, 20.0, 60), random.normal(0.0, 99.0, 60), half=half
+        )
+        for half in ((20.0, 90.0), (np.nan, np.nan), (1.0, 2.0))
+    ]
+    horizons = [10.0, 59.0]
+    together = marks_of_each(forecasts, actual, horizons, Peltier)
+    alone = [marks(forecast, actual, horizons, Peltier) for forecast in forecasts]
+    assert repr(together) == repr(alone)
+    first_ten = seen[:10]
+    error = (actual.output - forecasts[2].output.mean)[:10][first_ten]
+    rms_of_path = np.sqrt(np.mean(np.square(error / Peltier.output.noise)))
+    assert together[2][0].output.rms == pytest.approx(rms_of_path)
 
 
 def test_without_a_band_there_is_no_coverage_and_no_score() -> None:
     loop = linear_loop(set_points(200, 3), np.random.default_rng(3))
     (origin,) = origins([loop], [119], HORIZONS)
     forecast = ask(nothing_changes(origin), origin)["arx"]
-    (card, _) = cards(
-        mark("a", "ARX", forecast, origin, horizons=HORIZONS, plant=Peltier)
-    )
+    named = NamedForecast("ARX", "", forecast)
+    (marked,) = scores("a", HORIZONS, origin, Peltier, 0, [named])
+    (card, _) = cards(marked)
     assert card.median > 0.0
     assert np.isnan([card.coverage_output, card.width_input, card.score]).all()
 

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.comparing import BASELINES
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import CONFIDENCE, ArxForecast, Band, Forecast
-from twinmatch.offline.backtest.scoring import PEERS, Marked, marks, samples_within
+from twinmatch.offline.backtest.scoring import (
+    PEERS,
+    Marked,
+    marks_of_each,
+    samples_within,
+)
 from twinmatch.signals import FloatArray, Sample, Window
-from twinmatch.twin.matcher import one_thread
 
 PAST: Final = 4096
 """Samples before an origin that its forecasters may look at: of a rig, more than an hour. Each origin has its own, so
@@ -134,8 +138,7 @@ def origins(
 
 def ask(arx: ArxForecast, origin: Origin) -> dict[str, Forecast]:
     """The forecasts of the peers, by name: those that the ledger compares with, of means without bands."""
-    with one_thread():
-        forecasts = arx.referees(origin.ahead, origin.disturbances)
+    forecasts = arx.referees(origin.ahead, origin.disturbances)
     past = origin.past
     size = origin.count
     outputs = origin.past.outputs.shape[1]
@@ -158,30 +161,13 @@ def ask(arx: ArxForecast, origin: Origin) -> dict[str, Forecast]:
     }
 
 
-def mark(
-    session: str,
-    forecaster: str,
-    forecast: Forecast,
-    origin: Origin,
-    *,
-    horizons: Sequence[float],
-    plant: type[Plant],
-    candidate: str = "",
-) -> list[Marked]:
-    """Score a forecast at every horizon that the session reaches and whose last sample was received."""
-    actual = origin.came
-    counts = {horizon: samples_within(horizon, actual.period) for horizon in horizons}
-    reached = [
-        horizon
-        for horizon, count in counts.items()
-        if count <= origin.count and (actual.seen is None or actual.seen[count - 1])
-    ]
-    return [
-        Marked(session, origin.sample, horizon, forecaster, result, candidate)
-        for horizon, result in zip(
-            reached, marks(forecast, actual, reached, plant), strict=True
-        )
-    ]
+class NamedForecast(NamedTuple):
+    """A forecast, by whom."""
+
+    forecaster: str
+    candidate: str
+    """Name of the candidate that made it; empty for a peer."""
+    forecast: Forecast
 
 
 def scores(  # noqa: PLR0917
@@ -190,17 +176,39 @@ def scores(  # noqa: PLR0917
     origin: Origin,
     plant: type[Plant],
     k: int,
-    forecasts: Iterable[tuple[str, str, Forecast]],
-) -> Iterator[Marked]:
-    """The scores of the k-th output in forecasts; with each, its forecaster's and its candidate's name."""
-    for forecaster, candidate, forecast in forecasts:
-        of_output = forecast.alone(k)
-        yield from mark(
-            session,
-            forecaster,
-            of_output,
-            origin,
-            horizons=horizons,
-            plant=plant,
-            candidate=candidate,
-        )
+    forecasts: Sequence[NamedForecast],
+) -> list[list[Marked]]:
+    """The scores of the k-th output in each of the forecasts made at an origin.
+
+    A forecast is scored at every horizon that the session reaches and whose last sample was received.
+    """
+    actual = origin.came
+    reached = [
+        horizon
+        for horizon in horizons
+        if _is_known_at(samples_within(horizon, actual.period), origin)
+    ]
+    of_output = [named.forecast.alone(k) for named in forecasts]
+    marks_of_forecasts = marks_of_each(of_output, actual, reached, plant)
+    return [
+        [
+            Marked(
+                session,
+                origin.sample,
+                horizon,
+                named.forecaster,
+                result,
+                named.candidate,
+            )
+            for horizon, result in zip(reached, results, strict=True)
+        ]
+        for named, results in zip(forecasts, marks_of_forecasts, strict=True)
+    ]
+
+
+def _is_known_at(count: int, origin: Origin) -> bool:
+    """Whether the sample that is so many after an origin has come, and was received."""
+    if count > origin.count:
+        return False
+    seen = origin.came.seen
+    return seen is None or bool(seen[count - 1])

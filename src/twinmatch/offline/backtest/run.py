@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -17,6 +16,7 @@ from twinmatch.forecasting import CONFIDENCE, ArxForecast, Band, Forecast, Outlo
 from twinmatch.importing import open_any
 from twinmatch.offline.backtest.origins import (
     PAST,
+    NamedForecast,
     Origin,
     SettledStretch,
     ask,
@@ -246,39 +246,63 @@ def _outlooks(twin: Twin) -> _Outlooks:
 
 def _grade(shared: _Common, origin: Origin, asked: _Outlooks) -> _Graded:
     """Make and score the forecasts of all available forecasters at one origin."""
-    session, settings, horizons, names = shared
-
+    plant = shared.settings.plant
     with one_thread():
-        rows = origin.disturbances
-        forecasts = {
-            n: outlook.forecast(origin.ahead, rows)
-            for n, outlook in asked.outlooks.items()
-        }
-    of_constant = []
-    nominal = asked.who.get(NOMINAL)
-    if nominal is not None and len(origin.past) > SKIPPED + 1:
-        parameters = asked.outlooks[nominal].parameters
-        with one_thread():
-            constant = with_constant_band(
-                forecasts[nominal], parameters, origin.past, settings.law
-            )
-        of_constant.append((CONSTANT, nominal, constant))
-    asked_peers = ask(asked.arx, origin)
-    of_peers = [(PEERS[name], "", asked_peers[name]) for name in names]
+        forecasts = _forecasts(origin, asked)
+        of_constant = _with_constant_bands(shared, origin, asked, forecasts)
+        asked_peers = ask(asked.arx, origin)
+    of_candidates = [NamedForecast(n, n, forecast) for n, forecast in forecasts.items()]
+    of_peers = [
+        NamedForecast(PEERS[name], "", asked_peers[name]) for name in shared.peers
+    ]
     marked = []
-    for k, plant in outputs_alone(settings.plant):
-        scored = partial(scores, session, horizons, origin.alone(k), plant, k)
-        of_candidates = {
-            n: list(scored([(n, n, forecast)])) for n, forecast in forecasts.items()
-        }
+    for k, alone in outputs_alone(plant):
+        of_all = scores(
+            shared.session,
+            shared.horizons,
+            origin.alone(k),
+            alone,
+            k,
+            [*of_candidates, *of_constant, *of_peers],
+        )
+        by_candidate = dict(zip(forecasts, of_all, strict=False))
+        of_others = of_all[len(forecasts) :]
         of_roles = [
             replace(mark, who=role)
             for role, name in asked.who.items()
-            for mark in of_candidates[name]
+            for mark in by_candidate[name]
         ]
-        hindsight = best_in_hindsight(chain.from_iterable(of_candidates.values()))
-        marked.append([*of_roles, *scored(of_constant), *hindsight, *scored(of_peers)])
+        hindsight = best_in_hindsight(chain.from_iterable(by_candidate.values()))
+        constant = of_others[: len(of_constant)]
+        peers = of_others[len(of_constant) :]
+        marked.append([*of_roles, *chain.from_iterable([*constant, hindsight, *peers])])
     return _Graded(marked, forecasts[asked.who[LEADER]])
+
+
+def _forecasts(origin: Origin, asked: _Outlooks) -> dict[str, Forecast]:
+    """The forecast of each candidate."""
+    rows = origin.disturbances
+    return {
+        name: outlook.forecast(origin.ahead, rows)
+        for name, outlook in asked.outlooks.items()
+    }
+
+
+def _with_constant_bands(
+    shared: _Common,
+    origin: Origin,
+    asked: _Outlooks,
+    forecasts: Mapping[str, Forecast],
+) -> list[NamedForecast]:
+    """The nominal candidate's forecast with bands of one width, if there are residuals to make them of."""
+    nominal = asked.who.get(NOMINAL)
+    if nominal is None or len(origin.past) <= SKIPPED + 1:
+        return []
+    parameters = asked.outlooks[nominal].parameters
+    constant = with_constant_band(
+        forecasts[nominal], parameters, origin.past, shared.settings.law
+    )
+    return [NamedForecast(CONSTANT, nominal, constant)]
 
 
 def outputs_alone(plant: type[Plant]) -> list[tuple[int, type[Plant]]]:

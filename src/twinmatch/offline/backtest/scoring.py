@@ -106,82 +106,106 @@ def samples_within(horizon: float, period: float) -> int:
 def marks(
     forecast: Forecast, came: Window, horizons: Sequence[float], plant: type[Plant]
 ) -> list[Marks]:
-    """Score a forecast by the actual samples, up to each horizon.
+    """Score one forecast by the actual samples, up to each horizon; see `marks_of_each`."""
+    (of_forecast,) = marks_of_each([forecast], came, horizons, plant)
+    return of_forecast
+
+
+def marks_of_each(
+    forecasts: Sequence[Forecast],
+    came: Window,
+    horizons: Sequence[float],
+    plant: type[Plant],
+) -> list[list[Marks]]:
+    """Score forecasts made at one sample by the actual samples: the marks of each, up to each horizon.
 
     Args:
-        forecast: the forecast.
+        forecasts: the forecasts, all of them for set-points or all for given inputs.
         came: samples beginning with the one after `forecast.sample`; at least as many as a horizon has.
         horizons: lengths of the paths that are scored, s.
         plant: declares the noise of output and input.
 
     Raises:
-        BacktestError: the samples are not those of the forecast, or one of both is too short.
+        BacktestError: the samples are not those of a forecast, or one of both is too short.
     """
+    counts = [samples_within(horizon, came.period) for horizon in horizons]
+    for forecast in forecasts:
+        _require_comparable(forecast, came, horizons, counts)
+    outputs = _marks_of_signal(
+        [forecast.output for forecast in forecasts],
+        came.output,
+        plant.output.noise,
+        forecasts[0].confidence,
+        counts,
+        is_received=came.seen,
+    )
+    if not forecasts[0].closed:
+        return [[Marks(output, None) for output in of_output] for of_output in outputs]
+    inputs = _marks_of_signal(
+        [forecast.input for forecast in forecasts],
+        came.input,
+        plant.drive.noise,
+        forecasts[0].confidence,
+        counts,
+        is_received=came.seen,
+    )
+    return [
+        list(map(Marks, of_output, of_input))
+        for of_output, of_input in zip(outputs, inputs, strict=True)
+    ]
+
+
+def _require_comparable(
+    forecast: Forecast, came: Window, horizons: Sequence[float], counts: Sequence[int]
+) -> None:
+    """Raise unless these are the samples of the forecast, as many as each horizon has."""
     if came.first != forecast.sample + 1:
         msg = f"backtest: a forecast made at sample {forecast.sample} cannot be scored from {came.first} on"
         raise BacktestError(msg)
     comparable = min(len(came), forecast.output.mean.size, forecast.input.mean.size)
-    counts = [samples_within(horizon, came.period) for horizon in horizons]
     for horizon, count in zip(horizons, counts, strict=True):
         if comparable < count:
             needed = f"a horizon of {horizon:g} s needs {count} samples"
             msg = f"backtest: {needed}; only {comparable} can be compared"
             raise BacktestError(msg)
-    confidence = forecast.confidence
-    is_received = came.seen
-    outputs = _marks_of_signal(
-        forecast.output,
-        came.output,
-        plant.output.noise,
-        confidence,
-        counts,
-        is_received=is_received,
-    )
-    if not forecast.closed:
-        return [Marks(output, None) for output in outputs]
-    inputs = _marks_of_signal(
-        forecast.input,
-        came.input,
-        plant.drive.noise,
-        confidence,
-        counts,
-        is_received=is_received,
-    )
-    return list(map(Marks, outputs, inputs))
 
 
 def _marks_of_signal(
-    band: Band,
+    bands: Sequence[Band],
     came: FloatArray,
     noise: float,
     confidence: float,
     counts: Sequence[int],
     *,
     is_received: BoolArray | None,
-) -> list[SignalMarks]:
-    """The marks of one signal up to each horizon, without samples that were not received.
+) -> list[list[SignalMarks]]:
+    """The marks of one signal in each of several forecasts, up to each horizon, without samples that were not
+    received.
 
     `counts` are the horizons in samples; `came` are the actual values, in the unit of `noise`.
     """
     longest = max(counts, default=0)
     x = came[:longest] / noise
-    low = band.low[:longest] / noise
-    high = band.high[:longest] / noise
-    error = x - band.mean[:longest] / noise
+    mean = np.array([band.mean[:longest] for band in bands]) / noise
+    low = np.array([band.low[:longest] for band in bands]) / noise
+    high = np.array([band.high[:longest] for band in bands]) / noise
+    error = x - mean
     inside = np.where(np.isnan(high - low), np.nan, (low <= x) & (x <= high))
     scores = interval_score(low, high, x, confidence)
     inside_width_score = np.array([inside, high - low, scores])
-    marks_by_horizon = []
+    marks_by_forecast: list[list[SignalMarks]] = [[] for _ in bands]
     for count in counts:
-        received = (
-            slice(count) if is_received is None else np.flatnonzero(is_received[:count])
-        )
-        coverage, width, score = inside_width_score[:, received].mean(axis=1).tolist()
-        error_of_path = float(rms(error[received]))
-        marks_by_horizon.append(
-            SignalMarks(error_of_path, float(error[count - 1]), coverage, width, score)
-        )
-    return marks_by_horizon
+        errors_of_path = error[:, :count]
+        averaged = inside_width_score[:, :, :count]
+        if is_received is not None:
+            received = np.flatnonzero(is_received[:count])
+            errors_of_path = errors_of_path.take(received, axis=-1)
+            averaged = averaged.take(received, axis=-1)
+        figures = np.array([rms(errors_of_path), error[:, count - 1]])
+        columns = np.concatenate([figures, averaged.mean(axis=-1)]).T.tolist()
+        for of_forecast, column in zip(marks_by_forecast, columns, strict=True):
+            of_forecast.append(SignalMarks(*column))
+    return marks_by_forecast
 
 
 HINDSIGHT = "best in hindsight"
