@@ -109,8 +109,8 @@ LATER = (
     "twinmatch.importing.tables",
 )
 """What the start of a command that judges, or of the node that does, must not import: few runs need it."""
-PAGE = "twinmatch.showing.page"
-"""The program of the live page draws with Bokeh, and nothing else."""
+DRAWING = ("twinmatch.showing.page", "twinmatch.showing.figures.elements")
+"""What draws: the program of the live page with Bokeh, and what the first figure imports."""
 
 IMPORT_ALL = f"""
 import importlib, pkgutil, sys, twinmatch
@@ -118,7 +118,7 @@ import twinmatch.cli.backtest, twinmatch.cli.replay, twinmatch.twin.engine
 print("twinmatch.dynamics.bank" in sys.modules)
 loaded = set()
 for found in pkgutil.walk_packages(twinmatch.__path__, "twinmatch.", onerror=print):
-    if found.name.startswith("{PAGE}") or found.name.endswith("__main__"):
+    if found.name.startswith({DRAWING}) or found.name.endswith("__main__"):
         continue
     try:
         importlib.import_module(found.name)
@@ -135,7 +135,7 @@ print(len([name for name in sys.modules if name.startswith("twinmatch.")]) > 200
 
 
 def test_no_command_and_no_node_waits_for_modules_that_others_need() -> None:
-    """Every module but those of the page is imported, so also what a command or a node imports later; the
+    """Every module but those that draw is imported, so also what a command or a node imports later; the
     arithmetic of plants with several loops is not imported for those with one."""
     completed = subprocess.run(
         [sys.executable, "-c", IMPORT_ALL],

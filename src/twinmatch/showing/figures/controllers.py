@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from twinmatch.showing.figures.elements.panel import Panel
+
 _LETTERS: Final = 100
 """Characters per line of the sentence above the figure."""
 
@@ -79,11 +81,11 @@ def draw_experiment(experiment: NextExperiment) -> Figure:
     return figure
 
 
-def _rows_for(plant: type[Plant]) -> tuple[Figure, list[Axes], list[Axes]]:
+def _rows_for(plant: type[Plant]) -> tuple[Figure, list[Panel], list[Panel]]:
     """A figure with a row for each output, then one for each command."""
     ratios = [2.0] * len(plant.outputs) + [1.4] * len(plant.drives)
     figure = new_figure(9.0, 1.2 + 1.3 * sum(ratios))
-    axes = list(stack(figure, ratios))
+    axes = stack(figure, ratios)
     return figure, axes[: len(plant.outputs)], axes[len(plant.outputs) :]
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from twinmatch.errors import TwinmatchError
-from twinmatch.showing.figures.panel import estimate_panels_once, panel_class
 from twinmatch.showing.quantities import ShownSignals, with_unit
 from twinmatch.showing.style import PLANT, SET_POINT, SIDE_BY_SIDE, rc
 from twinmatch.signals import FloatArray, Window
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.gridspec import SubplotSpec
 
+    from twinmatch.showing.figures.elements.panel import Panel
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -47,25 +47,35 @@ def new_figure(width: float, height: float) -> Figure:
 
 def panel(
     figure: Figure, cell: SubplotSpec | None = None, sharex: Axes | None = None
-) -> Axes:
+) -> Panel:
     """Axes in a cell of the figure, or in the whole of it."""
-    if cell is None:
-        return figure.add_subplot(axes_class=panel_class(), sharex=sharex)
-    return figure.add_subplot(cell, axes_class=panel_class(), sharex=sharex)
+    from twinmatch.showing.figures.elements.panel import Panel  # noqa: PLC0415
+
+    where: tuple[SubplotSpec, ...] = () if cell is None else (cell,)
+    add: Any = figure.add_subplot
+    added: Panel = add(*where, axes_class=Panel, sharex=sharex)
+    return added
 
 
 def stack(
     figure: Figure, ratios: Sequence[float], cell: SubplotSpec | None = None
-) -> list[Axes]:
+) -> list[Panel]:
     """Axes with one time axis below one another, heights in these ratios, in the figure or a cell of it."""
-    axes: list[Axes] = []
+    axes: list[Panel] = []
     shape: Any = {"nrows": len(ratios), "ncols": 1, "height_ratios": list(ratios)}
     grid = figure.add_gridspec(**shape) if cell is None else cell.subgridspec(**shape)
     for row in range(len(ratios)):
         axes.append(panel(figure, grid[row, 0], axes[0] if axes else None))
     for upper in axes[:-1]:
-        upper.tick_params(labelbottom=False)
+        upper.below.shows_numbers = False
     return axes
+
+
+def align_labels(panels: Sequence[Panel]) -> None:
+    """Put the labels at the left of panels below one another on one line."""
+    from twinmatch.showing.figures.elements import panel  # noqa: PLC0415
+
+    panel.align_labels(panels)
 
 
 def cells_for(number: int, cell: SubplotSpec) -> list[SubplotSpec]:
@@ -79,7 +89,7 @@ def cells_for(number: int, cell: SubplotSpec) -> list[SubplotSpec]:
 
 def columns(
     width: float, height: float, ratios: Sequence[float], number: int
-) -> tuple[Figure, list[list[Axes]]]:
+) -> tuple[Figure, list[list[Panel]]]:
     """A figure with a stack for each of some signals; one fills a figure of this size, in inches."""
     wide = min(number, SIDE_BY_SIDE)
     figure = new_figure(width * (1.0 + 0.4 * (wide - 1)), height * -(-number // wide))
@@ -91,12 +101,10 @@ def columns(
 
 def _arrange(figure: Figure) -> None:
     """Lay the figure out once; matplotlib would otherwise repeat that for every file."""
+    from twinmatch.showing.figures.elements.panel import estimate_panels_once  # noqa: PLC0415
+
     engine = figure.get_layout_engine()
     if engine is not None:
-        for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-            if not axis.get_label_text():
-                # otherwise its ticks are laid out again to place no label
-                axis.set_label_coords(0.0, 0.0)
         estimate_panels_once(figure)
         engine.execute(figure)
         # with another, matplotlib would draw the figure twice
@@ -139,10 +147,9 @@ def png(figure: Figure, dpi: int = 100) -> bytes:
 @styled
 def svg(figure: Figure) -> str:
     """The figure as an SVG document."""
-    _arrange(figure)
-    stream = io.StringIO()
-    figure.savefig(stream, format="svg", metadata={"Date": None})
-    return stream.getvalue()
+    from twinmatch.showing.figures.elements.svg import document  # noqa: PLC0415
+
+    return document(figure, _arrange)
 
 
 def time_axis(axes: Axes, period: float, first: int, last: int) -> None:

@@ -13,6 +13,7 @@ from twinmatch.dynamics.simulation import SKIPPED
 from twinmatch.fitting import Match
 from twinmatch.showing.family import Member, interval, value_of
 from twinmatch.showing.figures.drawing import (
+    align_labels,
     columns,
     draw_inputs,
     draw_outputs,
@@ -41,6 +42,8 @@ from twinmatch.twin import MatchReport, response_on
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from twinmatch.showing.figures.elements.panel import Panel
 
 
 _CROWDED = 6
@@ -76,7 +79,7 @@ def draw_criteria(verdict: Verdict) -> Figure:
     return figure
 
 
-def draw_gains(axes: Axes, verdict: Verdict) -> None:
+def draw_gains(axes: Panel, verdict: Verdict) -> None:
     """Information gain of every candidate and order."""
     _draw_bars(axes, verdict, "gain")
     axes.set_ylabel("information gain / characters")
@@ -85,10 +88,10 @@ def draw_gains(axes: Axes, verdict: Verdict) -> None:
     axes.margins(y=0.2)
 
 
-def _draw_bars(axes: Axes, verdict: Verdict, attribute: str) -> None:
+def _draw_bars(axes: Panel, verdict: Verdict, attribute: str) -> None:
     candidates = verdict.modelled
     orders = [o.order for o in candidates[0].orders]
-    places = np.arange(len(candidates))
+    places = np.arange(len(candidates), dtype=np.float64)
     width = 0.8 / len(orders)
     rows = [
         [getattr(order.total, attribute) for order in candidate.orders]
@@ -96,17 +99,42 @@ def _draw_bars(axes: Axes, verdict: Verdict, attribute: str) -> None:
     ]
     table = _above_best(np.array(rows, dtype=float), attribute)
     for k, order in enumerate(orders):
-        values = table[:, k]
-        shifted = places + (k - (len(orders) - 1) / 2) * width
-        bars = axes.bar(
-            shifted, values, width, label=order, color=ORDERS[k % len(ORDERS)]
-        )
-        for bar, candidate in zip(bars, candidates, strict=True):
-            if candidate.chosen_order == order:
-                bar.set_edgecolor("black")
-                bar.set_linewidth(1.6)
-    axes.set_xticks(places, [c.name for c in candidates])
+        begin = places + (k - len(orders) / 2) * width
+        is_chosen = [candidate.chosen_order == order for candidate in candidates]
+        colour = ORDERS[k % len(ORDERS)]
+        _draw_row(axes, begin, width, table[:, k], is_chosen, color=colour, label=order)
+    axes.autoscale_view()
+    axes.below.name_ticks(places, [c.name for c in candidates])
     axes.grid(visible=False, axis="x")
+
+
+def _draw_row(
+    axes: Axes,
+    begin: FloatArray,
+    width: float,
+    heights: FloatArray,
+    is_framed: Sequence[bool],
+    *,
+    color: str,
+    label: str,
+) -> None:
+    """Bars of these heights from 0 on, some with a black frame, as one artist."""
+    from matplotlib.collections import PolyCollection  # noqa: PLC0415
+
+    end = begin + width
+    zero = np.zeros_like(heights)
+    corners = [[begin, zero], [begin, heights], [end, heights], [end, zero]]
+    bars = PolyCollection(
+        list(np.array(corners).transpose(2, 0, 1)),
+        facecolors=color,
+        edgecolors=["black" if framed else "none" for framed in is_framed],
+        linewidths=[1.6 if framed else 0.0 for framed in is_framed],
+        joinstyle="miter",
+        label=label,
+    )
+    # no margin below bars
+    bars.sticky_edges.y.append(0.0)
+    axes.add_collection(bars)
 
 
 def _above_best(table: FloatArray, attribute: str) -> FloatArray:
@@ -124,7 +152,7 @@ def draw_matrix(verdict: Verdict) -> Figure:
     """The ν-gaps between all candidates as a heat map, and their sums."""
     size = 1.2 + 0.55 * len(verdict.candidates)
     figure = new_figure(size + 2.6, size)
-    fill_matrix(panel(figure), verdict)
+    fill_matrix(figure.add_subplot(), verdict)
     return figure
 
 
@@ -203,7 +231,7 @@ def draw_parameters(
     figure.legend(
         *axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3
     )
-    figure.align_ylabels(axes)
+    align_labels(axes)
     return figure
 
 
@@ -330,7 +358,7 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
             [answer.alone(k) for answer in answers],
             members,
         )
-        figure.align_ylabels(axes)
+        align_labels(axes)
     named = stacks[0][0].get_legend_handles_labels()
     figure.legend(*named, loc="outside upper center", ncols=min(5, len(members) + 2))
     return figure

@@ -21,6 +21,7 @@ from twinmatch.offline.backtest.scoring import (
     Card,
 )
 from twinmatch.showing.figures.drawing import (
+    align_labels,
     draw_inputs,
     draw_outputs,
     draw_set_point,
@@ -33,12 +34,14 @@ from twinmatch.showing.figures.drawing import (
 from twinmatch.showing.quantities import signal_names, with_unit
 from twinmatch.showing.series import Fan
 from twinmatch.showing.style import CLOSED, DRIVEN, MODEL, PLANT, SET_POINT
-from twinmatch.signals import FloatArray
+from twinmatch.signals import FloatArray, Window
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from twinmatch.showing.figures.elements.panel import Panel
 
 
 _COLUMNS = 3
@@ -215,10 +218,10 @@ def draw_backtest(backtest: Backtest) -> Figure:
             lw=1,
         )
         draw_inputs(axes[-1], window, 0.8)
-    for k, forecast in enumerate(backtest.shown):
-        _draw_forecast(axes, forecast, backtest, first=k == 0)
+    if backtest.shown:
+        _draw_shown(axes, backtest)
     _dress(axes, backtest)
-    figure.align_ylabels(axes)
+    align_labels(axes)
     return figure
 
 
@@ -244,7 +247,7 @@ def _marks(
 
 
 def _draw_errors(
-    axes: Axes,
+    axes: Panel,
     cards: Sequence[Card],
     horizons: Sequence[float],
     looks: dict[str, tuple[str, str]],
@@ -273,7 +276,7 @@ def _draw_errors(
 
 
 def _draw_coverage(
-    axes: Axes,
+    axes: Panel,
     backtest: Backtest,
     cards: Sequence[Card],
     looks: dict[str, tuple[str, str]],
@@ -309,35 +312,58 @@ def _draw_coverage(
     _name_horizons(axes, backtest.horizons)
 
 
-def _name_horizons(axes: Axes, horizons: Sequence[float]) -> None:
-    axes.set_xticks(range(len(horizons)), [f"{h:g} s ahead" for h in horizons])
+def _name_horizons(axes: Panel, horizons: Sequence[float]) -> None:
+    axes.below.name_ticks(range(len(horizons)), [f"{h:g} s ahead" for h in horizons])
     axes.grid(visible=False, axis="x")
 
 
-def _draw_forecast(
-    axes: Sequence[Axes], forecast: Forecast, backtest: Backtest, *, first: bool
-) -> None:
-    """Draw a forecast of the leader, mean and band, and the output's error within the band."""
+def _draw_shown(axes: Sequence[Axes], backtest: Backtest) -> None:
+    """Draw the leader's forecasts, means and bands, and the output's errors within the bands."""
     output, error_axes, control = axes
-    hidden = "" if first else "_"
-    time = forecast.sample * backtest.period + forecast.time
-    shown = ((output, forecast.output), (control, forecast.input))
-    for signal_axes, band in shown if forecast.closed else shown[:1]:
-        _fill(signal_axes, time, band, label=f"{hidden}band")
+    forecasts = backtest.shown
+    times = [
+        forecast.sample * backtest.period + forecast.time for forecast in forecasts
+    ]
+    time = _one_line(times)
+    output_band = _one_band([forecast.output for forecast in forecasts])
+    shown = [(output, output_band)]
+    if forecasts[0].closed:
+        shown.append((control, _one_band([forecast.input for forecast in forecasts])))
+    for signal_axes, band in shown:
+        _fill(signal_axes, time, band, label="band")
         signal_axes.plot(
-            time, band.mean, color=CLOSED, lw=0.9, label=f"{hidden}leader's forecast"
+            time, band.mean, color=CLOSED, lw=0.9, label="leader's forecast"
         )
-    band = forecast.output
-    _fill(error_axes, time, band, around=band.mean)
-    for window in backtest.came:
-        if window.first <= forecast.sample <= window.last - time.size:
-            measured = window.part(
-                forecast.sample + 1, forecast.sample + time.size
-            ).output
-            error_axes.plot(time, measured - band.mean, color=PLANT, lw=0.8)
+    _fill(error_axes, time, output_band, around=output_band.mean)
+    errors = _one_line([_error_of(forecast, backtest.came) for forecast in forecasts])
+    error_axes.plot(time, errors, color=PLANT, lw=0.8)
 
 
-def _dress(axes: Sequence[Axes], backtest: Backtest) -> None:
+def _error_of(forecast: Forecast, came: Sequence[Window]) -> FloatArray:
+    """Measured output minus forecast; NaN if a part of what was forecast is missing."""
+    size = forecast.time.size
+    for window in came:
+        if window.first <= forecast.sample <= window.last - size:
+            measured = window.part(forecast.sample + 1, forecast.sample + size)
+            return np.asarray(measured.output - forecast.output.mean, dtype=np.float64)
+    return np.full(size, np.nan)
+
+
+def _one_band(bands: Sequence[Band]) -> Band:
+    """Bands after one another as one band with gaps, so that they are drawn at once."""
+    return Band(
+        _one_line([band.mean for band in bands]),
+        _one_line([band.low for band in bands]),
+        _one_line([band.high for band in bands]),
+    )
+
+
+def _one_line(lines: Sequence[FloatArray]) -> FloatArray:
+    """Values of lines after one another, with a NaN after each, where nothing is drawn."""
+    return np.concatenate([np.append(line, np.nan) for line in lines])
+
+
+def _dress(axes: Sequence[Panel], backtest: Backtest) -> None:
     """Limits, title, labels and legend of the session's charts."""
     output, error_axes, control = axes
     words = signal_names(backtest.plant)
@@ -355,6 +381,6 @@ def _dress(axes: Sequence[Axes], backtest: Backtest) -> None:
     control.set_ylabel(words.input.label)
     control.set_xlabel("time since the session began / s")
     for upper in (output, error_axes):
-        upper.tick_params(labelbottom=False)
+        upper.below.shows_numbers = False
     if output.get_legend_handles_labels()[0]:
         output.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4)

@@ -53,7 +53,7 @@ def draw_memory(report: MemoryReport, plant: type[Plant]) -> Figure:
     places = np.arange(len(lessons))
     names = [lesson.name for lesson in lessons]
     interval = max(1, -(-len(lessons) // _NAMES.most))
-    axes.set_xticks(places[::interval], names[::interval], rotation=45, ha="right")
+    axes.below.name_ticks(places[::interval], names[::interval], rotation=45.0)
     return figure
 
 

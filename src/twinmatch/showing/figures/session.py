@@ -14,6 +14,7 @@ from twinmatch.dynamics import Plant, channels
 from twinmatch.offline.estimates import EstimatedCourse
 from twinmatch.offline.summary import ShownTwin, Tally, nominal_score, shown_twin
 from twinmatch.showing.figures.drawing import (
+    align_labels,
     cells_for,
     columns,
     draw_inputs,
@@ -52,6 +53,8 @@ from twinmatch.twin import MatchReport, TwinSettings
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from twinmatch.showing.figures.elements.panel import Panel
 
 
 BAND = 60
@@ -224,12 +227,12 @@ def draw_health(
         axes[-1], matches, admitted(verdicts), period, outputs_unit(settings.plant)
     )
     time_axis(axes[-1], period, first, samples[-1].index)
-    figure.align_ylabels(axes)
+    align_labels(axes)
     return figure
 
 
 def _draw_levels(
-    axes: Axes, verdicts: Sequence[Verdict], period: float, first: int = 0
+    axes: Panel, verdicts: Sequence[Verdict], period: float, first: int = 0
 ) -> None:
     """The trust level as a band, shown by height as well as colour."""
     for stretch in Tally(verdicts, first).stretches:
@@ -240,7 +243,7 @@ def _draw_levels(
             [begin, end], -0.5, height + 0.5, color=LEVELS[stretch.level], lw=0
         )
     axes.set_ylim(-0.5, 3.5)
-    axes.set_yticks(list(_HEIGHTS.values()), [level.value for level in _HEIGHTS])
+    axes.left.name_ticks(_HEIGHTS.values(), [level.value for level in _HEIGHTS])
     axes.grid(visible=False)
     axes.set_ylabel("trust")
 
@@ -295,7 +298,7 @@ def _draw_misses(
 
 
 def _draw_matches(
-    axes: Axes,
+    axes: Panel,
     matches: Sequence[MatchReport],
     admitted_at: Collection[int],
     period: float,
@@ -306,7 +309,7 @@ def _draw_matches(
     _mark_matches(axes, admitted_matches, period, 1.0, "o", TrustLevel.TRUSTED)
     _mark_matches(axes, refused_matches, period, 0.0, "x", TrustLevel.FAULT)
     axes.set_ylim(-0.6, 2.0)
-    axes.set_yticks([0, 1], ["refused", "admitted"])
+    axes.left.name_ticks([0, 1], ["refused", "admitted"])
     axes.set_ylabel(f"matches\n({unit})" if unit else "matches")
 
 
@@ -339,7 +342,8 @@ def draw_estimates(
 ) -> Figure:
     """What each sensor read that was not believed, and what it should have, below one another."""
     figure = new_figure(10, 2.4 * len(courses))
-    all_axes = figure.subplots(len(courses), squeeze=False)[:, 0]
+    grid = figure.add_gridspec(len(courses), 1)
+    all_axes = [panel(figure, grid[row, 0]) for row in range(len(courses))]
     for axes, course in zip(all_axes, courses, strict=True):
         draw_estimate(axes, course, period, samples)
     all_axes[-1].set_xlabel("time since the session began / s")
@@ -419,7 +423,7 @@ def draw_verdict(
             )
         for axes, signal in zip((upper, control), signal_names(loop), strict=True):
             axes.set_ylabel(signal.label)
-            axes.tick_params(labelbottom=False)
+            axes.below.shows_numbers = False
         legend_above(upper, 3)
     if shown is not None:
         set_title: Any = figure.suptitle if loops[1:] else uppers[0].set_title
@@ -429,7 +433,7 @@ def draw_verdict(
     if last is not None:
         if last.modelled:
             draw_gains(panel(figure, grid[3, 0]), last)
-        fill_matrix(panel(figure, grid[3, 1]), last)
+        fill_matrix(figure.add_subplot(grid[3, 1]), last)
     save(figure, path)
 
 
