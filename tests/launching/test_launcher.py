@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("rclpy", reason="no ROS 2 here; make setup installs it")
 
 from tests.support.processes import Process
-from twinmatch.errors import EXIT_INTERRUPTED, EXIT_USER_ERROR
+from twinmatch.errors import EXIT_USER_ERROR
 from twinmatch.launching import launcher
 from twinmatch.launching.forking import fork_server
 
@@ -87,16 +87,3 @@ def test_a_process_with_a_fork_server_does_not_begin_again() -> None:
     """Else it would never come to its work."""
     fork_server()
     launcher.continue_as_launcher()
-
-
-def test_ctrl_c_during_its_imports_is_an_interrupted_command(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def interrupted() -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(launcher, "import_for_programs", interrupted)
-    with pytest.raises(SystemExit) as ended:
-        launcher.main()
-    assert ended.value.code == EXIT_INTERRUPTED
-    assert capsys.readouterr().err == "twinmatch: interrupted\n"

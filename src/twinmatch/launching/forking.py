@@ -178,12 +178,12 @@ class ForkServer:
                 self._socket.close()
                 self._socket, self._process = begun_server()
             # so that the new process becomes a child of this one
-            _LIBC.prctl(_Prctl.CHILD_SUBREAPER, 1)
+            adopt_orphans(True)
             try:
                 socket.send_fds(self._socket, [json.dumps(asked).encode()], [output])
                 answer = self._socket.recv(_MAX_LINE)
             finally:
-                _LIBC.prctl(_Prctl.CHILD_SUBREAPER, 0)
+                adopt_orphans(False)
         if not answer:
             raise BrokenPipeError(errno.EPIPE, "the fork server has ended")
         if not int(answer):
@@ -236,7 +236,7 @@ def serve(connection: socket.socket) -> list[str]:
             if os.fork():
                 os._exit(0)  # its child becomes one of the process that asks
             parent, *asked = json.loads(request)
-            adopted = _become_child_of(parent)
+            adopted = become_child_of(parent)
             connection.send(str(os.getpid() if adopted else 0).encode())
             connection.close()
             if not adopted:
@@ -247,7 +247,16 @@ def serve(connection: socket.socket) -> list[str]:
         os.close(outputs[0])
 
 
-def _become_child_of(parent: int) -> bool:
+def adopt_orphans(adopts: bool) -> None:
+    """Whether this process becomes the parent of descendants whose parents end."""
+    _LIBC.prctl(_Prctl.CHILD_SUBREAPER, int(adopts))
+
+
+def become_child_of(parent: int) -> bool:
+    """Wait until the parent of this process has ended; returns whether `parent` has taken it over.
+
+    The kernel sends this process SIGTERM when that one ends.
+    """
     between = os.getppid()
     while os.getppid() == between != parent:
         time.sleep(_MOMENT)

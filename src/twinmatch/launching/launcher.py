@@ -24,6 +24,7 @@ from twinmatch.launching.forking import (
     serve_and_run,
     use_fork_server,
 )
+from twinmatch.launching.succession import continue_in_child
 
 _COMMAND: Final = "twinmatch.cli"
 """The module that runs a command."""
@@ -32,8 +33,8 @@ _COMMAND: Final = "twinmatch.cli"
 def continue_as_launcher() -> None:
     """Begin this process again, as one that forks its fork server; nothing if it has a fork server.
 
-    The process keeps its number, its terminal and its files. It must do nothing but run the command of its
-    arguments, since that begins again.
+    The process keeps its number, its terminal and its files, and waits for a child that runs the command. It must
+    do nothing but run the command of its arguments, since that begins again.
     """
     if has_fork_server():
         return
@@ -44,15 +45,19 @@ def continue_as_launcher() -> None:
 
 
 def main() -> None:
-    """Import, fork the server, and run the command."""
+    """Import, fork the server, and run the command in a child of this process."""
+    continue_in_child(_import)
+    fork_server_from_here()
+    name_process("twinmatch")
+    run_program(["-m", _COMMAND, *sys.argv[1:]])
+
+
+def _import() -> None:
     try:
         import_for_programs()
     except KeyboardInterrupt:
         print("twinmatch: interrupted", file=sys.stderr)
         sys.exit(EXIT_INTERRUPTED)
-    fork_server_from_here()
-    name_process("twinmatch")
-    run_program(["-m", _COMMAND, *sys.argv[1:]])
 
 
 def fork_server_from_here() -> None:
