@@ -137,6 +137,18 @@ def test_the_normal_equations_are_those_of_the_arrays(
     np.testing.assert_allclose(hessian, weighed.T @ jacobian, rtol=1e-8)
 
 
+def test_a_run_ends_where_its_cost_is_above_the_most() -> None:
+    window = motor_run(MOTOR.parameters())
+    experiment = Experiment(MOTOR.parameters(), ("k", "j", "b"), window)
+    values = np.array([0.1, 1e-3, 1e-4])
+    cost, _, hessian = experiment.normal(values)
+    most = 0.1 * cost
+    cost_until_there, _, hessian_until_there = experiment.normal(values, most)
+    assert most < cost_until_there < 0.5 * cost
+    assert np.all(np.diag(hessian_until_there) < np.diag(hessian))
+    assert experiment.normal(values, cost)[0] == cost
+
+
 @pytest.mark.parametrize("closed", [True, False])
 @pytest.mark.parametrize("plant", ["motor", "sink", "tank"])
 def test_noise_goes_round_the_loop(closed: bool, plant: str) -> None:

@@ -106,6 +106,12 @@ def turn(direction1: Complex, direction2: Complex) -> float:
     return total
 
 
+@compiled(innermost=True)
+def _larger(a: float, b: float) -> float:
+    """The larger of two numbers; NaN if one of them is."""
+    return a if a > b or math.isnan(a) else b
+
+
 @compiled
 def failing_draws(
     a: FloatArray,
@@ -127,20 +133,23 @@ def failing_draws(
         failed: whether the condition fails at each operating point without the draws, shape (points,).
     """
     width = a.size // failed.size
-    fails = np.full(c.shape[1], failed.any())
-    top = math.sqrt(a.max())
-    largest = np.zeros(c.shape[1])
-    for w in range(c.shape[0]):
-        for s in range(c.shape[1]):
-            largest[s] = c[w, s] if c[w, s] > largest[s] else largest[s]
+    fails = np.zeros(c.shape[1], dtype=np.bool_)
+    any_failed = False
     turns_before = np.empty(failed.size)
     for p in range(failed.size):
+        any_failed = any_failed or failed[p]
         part = slice(p * width, (p + 1) * width)
         turns_before[p] = turn(still[0][part], still[1][part])
+    still_square = 0.0
+    moved_squares = np.zeros(c.shape[1])
+    for w in range(a.size):
+        still_square = _larger(a[w], still_square)
+        for s in range(c.shape[1]):
+            moved_squares[s] = _larger(c[w, s], moved_squares[s])
+    top = math.sqrt(still_square)
     for s in range(c.shape[1]):
-        if not failed.any() and top + math.sqrt(largest[s]) < 1:
+        if not any_failed and top + math.sqrt(moved_squares[s]) < 1:
             continue
-        fails[s] = False
         for p in range(failed.size):
             part = slice(p * width, (p + 1) * width)
             after = turn(moved[0][s, part], moved[1][s, part])
@@ -170,6 +179,16 @@ def estimates(
     return total
 
 
+@compiled(inside=True)
+def _number_reaching(seen: float, values: FloatArray) -> int:
+    """How many of the values are `seen` or more."""
+    number = 0
+    for value in values:
+        if value >= seen:
+            number += 1
+    return number
+
+
 @compiled
 def _bisect_scale(  # noqa: PLR0917
     which: NDArray[np.int64],
@@ -184,7 +203,7 @@ def _bisect_scale(  # noqa: PLR0917
     """Interval around the scale above which more than `most` draws give `seen` or more."""
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if np.sum(estimates(which, a, b, c, middle) >= seen) > most:
+        if _number_reaching(seen, estimates(which, a, b, c, middle)) > most:
             high = middle
         else:
             low = middle
@@ -201,17 +220,25 @@ def fitting_scales(
     """
     estimate = 0.0
     most = 0.0
-    for p in which:
-        estimate += math.sqrt(a[p].max())
-        most += math.sqrt(c[p].max())
     draws = b.shape[2]
+    for p in which:
+        still_square = 0.0
+        moved_square = 0.0
+        for w in range(a.shape[1]):
+            still_square = _larger(a[p, w], still_square)
+            for s in range(draws):
+                moved_square = _larger(c[p, w, s], moved_square)
+        estimate += math.sqrt(still_square)
+        most += math.sqrt(moved_square)
     rare = int(tail * draws)
     # beyond these limits no draw reaches the actual estimate
     widest = 2 * most / max(estimate, 1e-300)
     low = max(0.0, 1.0 - widest)
     high = 1.0
-    if low == 0.0 and np.sum(estimates(which, a, b, c, 0.0) >= estimate) > rare:
-        high = 0.0
+    if low == 0.0:
+        at_zero = estimates(which, a, b, c, 0.0)
+        if _number_reaching(estimate, at_zero) > rare:
+            high = 0.0
     least, _ = _bisect_scale(which, a, b, c, estimate, rare, low, high)
     _, largest = _bisect_scale(
         which, a, b, c, estimate, draws - rare - 1, 1.0, 1.0 + widest

@@ -282,7 +282,7 @@ def _step_of_free(  # noqa: PLR0917
         )
         fixed[i] = outward or lower[i] == upper[i] or not hessian[i, i] > 0.0
     for _ in range(4 * n):
-        _solve_free(hessian, gradient, step, np.flatnonzero(~fixed), damping)
+        _solve_free(hessian, gradient, step, fixed, damping)
         first = -1
         reach = 1.0
         for p in range(n):
@@ -323,18 +323,21 @@ def _solve_free(
     hessian: FloatArray,
     gradient: FloatArray,
     step: FloatArray,
-    free: NDArray[np.int64],
+    fixed: NDArray[np.bool_],
     damping: float,
 ) -> None:
-    """Write the steps of the free parameters, given those of the others.
+    """Write the steps of the parameters that are not fixed, given those of the others.
 
     By Cholesky's factors, in units in which the diagonal is one.
     """
-    m = free.size
+    free = np.empty(step.size, dtype=np.int64)
+    m = 0
+    for p in range(step.size):
+        if not fixed[p]:
+            free[m] = p
+            m += 1
     factor = np.zeros((m, m))
     right = np.zeros(m)
-    fixed = np.ones(step.size, dtype=np.bool_)
-    fixed[free] = False
     for i in range(m):
         p = free[i]
         size = np.sqrt(hessian[p, p])

@@ -230,10 +230,12 @@ class Experiment:
         infinite where the plant is too fast for the period. A run ends where its cost comes above `most`; then
         the figures are those of the samples until there.
         """
-        equations: tuple[float, FloatArray, FloatArray] = self._kernels.normal_at(
-            self._problem, values, most
-        )
-        return equations
+        # a search that ends with its first point: a kernel of its own would be compiled, too
+        unbounded = np.full(values.size, np.inf)
+        search = new_search(values, -unbounded, unbounded, unbounded, 1)
+        search.best[0] = most
+        self._kernels.search(self._problem, search)
+        return float(search.best[0]), search.gradient, search.hessian
 
     def scores(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What every sample adds to the gradient Jᵀr of `normal`, shape (N − 2, n), and the slope of their

@@ -426,7 +426,10 @@ def follow(  # noqa: PLR0917
                     none,
                     unbounded,
                 )
-                if not np.isfinite(innovations.sum() + variances.sum()):
+                total = 0.0
+                for o in range(innovations.size):
+                    total += innovations[o] + variances[o]
+                if not np.isfinite(total):
                     break
                 adapt(process_noise[i, :n], adaptations[i], innovations, variances)
             counts[i] += 1

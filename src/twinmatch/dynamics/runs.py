@@ -455,7 +455,7 @@ def start_at(code: Code, problem: LeastSquares, values: FloatArray) -> Start:
     return Start(p, law, x, columns, steps)
 
 
-@compiled
+@compiled(inside=True)
 def normal_at(
     code: Code, problem: LeastSquares, values: FloatArray, limit: float
 ) -> tuple[float, FloatArray, FloatArray]:
@@ -480,8 +480,9 @@ def normal_at(
 
 @compiled
 def search(code: Code, problem: LeastSquares, state: Search) -> None:
-    """Run a search to its end."""
-    cost, gradient, hessian = normal_at(code, problem, state.point, np.inf)
-    while update_search(state, cost, gradient, hessian):
-        # A run whose cost exceeds the best one's can stop early.
+    """Run a search to its end. A run whose cost exceeds the best one's stops early, the first one by what
+    stands there before it."""
+    is_asking = True
+    while is_asking:
         cost, gradient, hessian = normal_at(code, problem, state.point, state.best[0])
+        is_asking = update_search(state, cost, gradient, hessian)

@@ -57,7 +57,6 @@ KERNELS: Final = (
     kernels.parts,
     kernels.slopes_at,
     kernels.step_count,
-    runs.normal_at,
     runs.run,
     runs.run_with_tangents,
     runs.search,

@@ -127,8 +127,10 @@ def foresee(  # noqa: PLR0917
     if not banded:
         return outputs, inputs, np.zeros((0, noise.size)), np.zeros((0, m))
     compared = np.zeros((noise.size + m, size))
-    strays = np.zeros((size + 1, n + k)) + process_noise  # a parameter does not move
-    for i in range(n):
+    strays = np.empty((size + 1, n + k))
+    for j in range(size + 1):
+        copy_into(process_noise, strays[j])
+    for i in range(n):  # a parameter does not move
         strays[0, i] += (swift * (begun[i] - x[i])) ** 2
         for j in range(size):
             strays[j + 1, i] += (swift * (states[j + 1, i] - states[j, i])) ** 2
@@ -144,7 +146,10 @@ def foresee(  # noqa: PLR0917
         False,
         period,
     )
-    start = Start(vector, law, begun, np.eye(n, k + n, k), steps)
+    columns = np.zeros((n, k + n))
+    for i in range(n):
+        columns[i, k + i] = 1.0
+    start = Start(vector, law, begun, columns, steps)
     loop, _ = run_with_tangents(code, start, data, True, np.inf)
     of_outputs, of_inputs = _variances(joint, loop, noise, strays[1:])
     return outputs, inputs, of_outputs, of_inputs

@@ -62,7 +62,10 @@ def simulate_arx(  # noqa: PLR0917
     u = past[0, o : o + m].copy()
     z = memory.copy()
     after = memory.copy()
-    lags = past - level
+    lags = past.copy()
+    for lag in range(p):
+        for j in range(size):
+            lags[lag, j] -= level[j]
     for k in range(len(ahead)):
         for j in range(o + m, size):
             lags[0, j] = rows[k, j - o - m] - level[j]

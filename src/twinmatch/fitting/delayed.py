@@ -312,7 +312,9 @@ def column_norms(R: FloatArray) -> FloatArray:
     for i in range(R.shape[0]):
         for j in range(R.shape[1]):
             out[j] += R[i, j] * R[i, j]
-    return np.sqrt(out)
+    for j in range(out.size):
+        out[j] = np.sqrt(out[j])
+    return out
 
 
 @compiled(inside=True)

@@ -459,9 +459,10 @@ def model_profile(  # noqa: PLR0917
     low = lower.copy()
     high = upper.copy()
     low[i] = high[i] = values[i]
-    step, gain = box_step(
-        hessian, gradient + hessian[:, i] * way, values, low, high, 1e-12
-    )
+    slope = gradient.copy()
+    for j in range(slope.size):
+        slope[j] += hessian[j, i] * way
+    step, gain = box_step(hessian, slope, values, low, high, 1e-12)
     step[i] = way
     return step, cost + (2.0 * gradient[i] + hessian[i, i] * way) * way - gain
 

@@ -142,7 +142,7 @@ def steiglitz_mcbride(
     spans = np.array(((0, 1, nf), (1, nk, nb), (2, 0, states), (0, 0, 1)))
     signals = np.zeros((3, pad + u.size))
     for _ in range(ROUNDS):
-        through_pole(F, u, y, signals[:, pad:])
+        through_pole(F, u, y, signals, pad)
         previous = F
         F = stabilise(monic(regression(signals, pad, spans)[:nf]), LARGEST_ROOT, 1.0)
         change = 0.0
@@ -154,13 +154,17 @@ def steiglitz_mcbride(
 
 
 @compiled(inside=True)
-def through_pole(F: FloatArray, u: FloatArray, y: FloatArray, out: FloatArray) -> None:
-    """Write y, u and an impulse, each filtered by 1/F, into the three rows of `out`."""
-    all_pole_into(F, y, out[0])
-    all_pole_into(F, u, out[1])
-    out[2] = 0.0
-    out[2, 0] = 1.0
-    all_pole_into(F, out[2], out[2])
+def through_pole(
+    F: FloatArray, u: FloatArray, y: FloatArray, signals: FloatArray, pad: int
+) -> None:
+    """Write y, u and an impulse, each filtered by 1/F, into three signals with `pad` leading zeros."""
+    impulse = signals[2, pad:]
+    for t in range(impulse.size):
+        impulse[t] = 0.0
+    impulse[0] = 1.0
+    all_pole_into(F, y, signals[0, pad:])
+    all_pole_into(F, u, signals[1, pad:])
+    all_pole_into(F, impulse, impulse)
 
 
 @compiled(inside=True)
@@ -172,7 +176,7 @@ def noise_model(
     states = max(nf, nb + nk - 1)
     pad = max(nk + nb, states) + SLACK
     signals = np.zeros((3, pad + u.size))
-    through_pole(F, u, y, signals[:, pad:])
+    through_pole(F, u, y, signals, pad)
     copy_into(y, signals[0, pad:])
     spans = np.array(((1, nk, nb), (2, 0, states), (0, 0, 1)))
     coefficients = regression(signals, pad, spans)

@@ -272,9 +272,10 @@ class FmuKernels:
 
     def search(self, problem: LeastSquares, state: Search) -> None:
         """Let a search run to its end, one request for each point."""
-        normal = self.normal_at(problem, state.point, np.inf)
-        while update_search(state, *normal):
+        is_asking = True
+        while is_asking:
             normal = self.normal_at(problem, state.point, float(state.best[0]))
+            is_asking = update_search(state, *normal)
 
     @property
     def _exchange(self) -> bool:
