@@ -32,7 +32,6 @@ INSIDES = {
     "caching:FunctionCache.load_overload": ("self", "sig", "target_context"),
     "caching:IndexDataCacheFile._load_index": ("self",),
     "codegen:JITCPUCodegen._library_class": None,
-    "codegen:JITCPUCodegen._function_pass_manager": ("self", "kwargs"),
     "codegen:JITCPUCodegen.set_env": ("self", "env_name", "env"),
     "codegen:JITCodeLibrary._ensure_finalized": ("self",),
     "codegen:JITCodeLibrary._finalize_dynamic_globals": ("self",),
@@ -93,7 +92,6 @@ def test_the_insides_of_numba_that_are_used_are_where_they_were() -> None:
     engine = codegen._engine
     library = codegen.create_library("empty")
     moved = [f"a kernel's {name}" for name in KERNELS if _inside(kernel, name) is None]
-    moved += [] if isinstance(codegen._data_layout, str) else ["_data_layout"]
     moved += (
         [] if isinstance(engine._defined_symbols, set) else ["_engine._defined_symbols"]
     )

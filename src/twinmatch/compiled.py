@@ -22,7 +22,7 @@ from typing import Any, Final, TypeVar, overload
 
 import numba
 
-from twinmatch import numba_insides, reference_counts
+from twinmatch import numba_insides, optimiser, reference_counts
 from twinmatch.kernel_stamps import OPTIONS, fields_of, hash_of_file, stamp_of
 from twinmatch.kernel_turns import KernelTurn
 from twinmatch.numba_insides import start_runtime
@@ -83,7 +83,12 @@ before_kernels: Final[list[Callable[[], None]]] = []
 
 _HOW: Final = b"".join(
     hash_of_file(module.__file__)
-    for module in (sys.modules[__name__], numba_insides, reference_counts)
+    for module in (
+        sys.modules[__name__],
+        numba_insides,
+        optimiser,
+        reference_counts,
+    )
 )
 """The modules that say how kernels are compiled, as they were imported."""
 
@@ -192,20 +197,10 @@ def _tell(function: Callable[..., Any]) -> None:
 
 
 def _compile_entry(part: Any, addressed: bool, args: Any) -> Any:
-    """An entry point from Python: the kernel with all that it calls, optimised once.
-
-    Parallel sums are combined into vector instructions; each sum still has a fixed order.
-    """
+    """An entry point from Python: the kernel with all that it calls, optimised once."""
     with _undisturbed():
         part.compile(tuple(args))
-    before = numba.config.SLP_VECTORIZE
-    numba.config.SLP_VECTORIZE = 1
-    try:
-        return numba_insides.entry_point(
-            part.overloads[tuple(args)], addressed=addressed
-        )
-    finally:
-        numba.config.SLP_VECTORIZE = before
+    return numba_insides.entry_point(part.overloads[tuple(args)], addressed=addressed)
 
 
 class _Cache:

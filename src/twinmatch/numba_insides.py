@@ -21,6 +21,7 @@ import numba
 from numba import types
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.optimiser import optimise, simplify_functions
 from twinmatch.reference_counts import COUNTING, counting_module
 
 OLDEST: Final = (0, 60)
@@ -124,15 +125,7 @@ class _Part(JITCodeLibrary):
     """
 
     def _optimize_functions(self, module: Any) -> None:
-        """Simplify the functions, each by itself, so that those of several kernels do not have to.
-
-        LLVM's first level is enough, as the kernels are optimised at the highest.
-        """
-        module.data_layout = self._codegen._data_layout
-        passes, builder = self._codegen._function_pass_manager(opt=1)
-        for function in module.functions:
-            if not function.is_declaration:
-                passes.run(function, builder)
+        simplify_functions(module)
 
     def _optimize_final_module(self) -> None:
         """The kernels that this is linked into are optimised."""
@@ -155,7 +148,7 @@ class _EntryPoint(JITCodeLibrary):
         for name in COUNTING:
             # kernels of others continue to use those of numba
             self._final_module.get_function(name).linkage = "internal"
-        super()._optimize_final_module()
+        optimise(self._final_module)
 
 
 def entry_point(part: Any, *, addressed: bool) -> Any:

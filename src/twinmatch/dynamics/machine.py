@@ -19,6 +19,7 @@ from llvmlite import binding, ir
 
 from twinmatch.dynamics.code import Formulas, PlantFormulas
 from twinmatch.dynamics.declarations import PlantError
+from twinmatch.optimiser import target_machine
 from twinmatch.processor import processor
 
 FUNCTIONS: Final = (
@@ -81,7 +82,7 @@ def compiled_object(formulas: PlantFormulas) -> bytes:
     """
     module = binding.parse_assembly(str(_module(formulas)))
     module.verify()
-    machine = _target_machine()
+    machine = target_machine()
     # Higher levels and vectors take two to four times as long, and give the same bits no sooner.
     tuning = binding.create_pipeline_tuning_options(speed_level=1)
     tuning.loop_vectorization = False
@@ -92,9 +93,7 @@ def compiled_object(formulas: PlantFormulas) -> bytes:
 
 def linked(code: bytes) -> tuple[Any, dict[str, int]]:
     """Machine code made runnable: its owner, and the address of every function while the owner lives."""
-    engine = binding.create_mcjit_compiler(
-        binding.parse_assembly(""), _target_machine()
-    )
+    engine = binding.create_mcjit_compiler(binding.parse_assembly(""), target_machine())
     engine.add_object_file(binding.ObjectFileRef.from_data(code))
     engine.finalize_object()
     return engine, {name: int(engine.get_function_address(name)) for name in FUNCTIONS}
@@ -104,21 +103,6 @@ def target() -> str:
     """The processor for which code is compiled, and the compiler, in a text."""
     name, features = processor()
     return f"{name} {features} LLVM {binding.llvm_version_info}"
-
-
-def _target_machine() -> Any:
-    """A new one: an engine owns its own."""
-    binding.initialize_native_target()
-    binding.initialize_native_asmprinter()
-    name, features = processor()
-    return binding.Target.from_default_triple().create_target_machine(
-        cpu=name,
-        features=features,
-        opt=3,
-        reloc="pic",
-        codemodel="default",
-        jit=True,
-    )
 
 
 def _module(f: PlantFormulas) -> ir.Module:

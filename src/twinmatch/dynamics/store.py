@@ -43,6 +43,7 @@ _COMPILER = (
     "machine.py",
     "store.py",
     "terms.py",
+    "../optimiser.py",
 )
 _PROGRAMS = ("llvmlite", "sympy")
 SHIPPED: Final = _HERE.parent / "machine_code"
