@@ -15,7 +15,6 @@ from twinmatch.dynamics import Parameters, box_step
 from twinmatch.fitting.problem import LASTING, Evaluation, Problem, ended_on_bounds
 from twinmatch.signals import FloatArray
 
-_MAX_EVALUATIONS = 100
 _ROUNDING = 1e-13
 """Share of the largest eigenvalue below which another is rounding: each entry of the information is a sum
 over hundreds of samples, accurate to a relative 1e-14. The condition number is then 3e6."""
@@ -94,11 +93,27 @@ def starts_for(problem: Problem, start: Parameters) -> list[FloatArray]:
     return starts
 
 
-def solve(problem: Problem, starts: Sequence[FloatArray]) -> Estimate:
+class Effort(NamedTuple):
+    """How far a search goes."""
+
+    evaluations: int
+    """At most so many from each start."""
+    negligible: float = 0.0
+    """It ends where a step promises no larger decrease of the mean squared weighted residual; 0: at rounding."""
+
+
+FULL: Final = Effort(100)
+"""What a match is worth."""
+
+
+def solve(
+    problem: Problem, starts: Sequence[FloatArray], effort: Effort = FULL
+) -> Estimate:
     """The best of the fits from several starts; of equals the first."""
-    best = problem.descend(starts[0], _MAX_EVALUATIONS)
+    settled = effort.negligible * problem.residual_count
+    best = problem.descend(starts[0], effort.evaluations, settled=settled)
     for start in starts[1:]:
-        fit = problem.descend(start, _MAX_EVALUATIONS, best)
+        fit = problem.descend(start, effort.evaluations, best, settled)
         if fit.cost < best.cost:
             best = fit
     return Estimate(problem, best.values, best.converged)

@@ -32,6 +32,7 @@ from twinmatch.dynamics import (
 from twinmatch.dynamics.equations import outputs_of, written_equations
 from twinmatch.dynamics.pace import time_constant
 from twinmatch.errors import TwinmatchError
+from twinmatch.fitting.estimation import Effort
 
 LEFT: Final = 3.0
 """Mean squared weighted residual above which a driven twin may lack something."""
@@ -54,6 +55,17 @@ class _Justification:
 
 
 _JUSTIFIED: Final = _Justification()
+
+
+_MOST_EVALUATIONS: Final = 40
+"""Evaluations of a fit with an effect: one that is not done by then rarely ends at all."""
+_NEGLIGIBLE: Final = 1e-3
+"""Share of what a plant leaves that decides nothing: an effect explains half of it, and effects differ by nats."""
+
+
+def effort_for(left: float) -> Effort:
+    """How far to fit effects to what a plant leaves, as a mean squared weighted residual."""
+    return Effort(_MOST_EVALUATIONS, _NEGLIGIBLE * left)
 
 
 class _Effect(NamedTuple):

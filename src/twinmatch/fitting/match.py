@@ -16,6 +16,8 @@ from twinmatch.dynamics.movement import effect_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting.approximation import started_chains
 from twinmatch.fitting.estimation import (
+    FULL,
+    Effort,
     Estimate,
     Uncertainty,
     on_bounds,
@@ -264,12 +266,16 @@ def explaining(
 
 
 def usable_fit(
-    window: Window, start: Parameters, noise: Noise, law: Law | None
+    window: Window,
+    start: Parameters,
+    noise: Noise,
+    law: Law | None,
+    effort: Effort = FULL,
 ) -> Estimate | None:
     """The best fit in the structure of a start; None if none converges within the bounds."""
     problem = Problem(window, checked_free(start.model, None), start, noise, law)
     try:
-        best = solve(problem, starts_for(problem, start))
+        best = solve(problem, starts_for(problem, start), effort)
     except TwinmatchError:  # another structure may be too fast for these samples
         return None
     return best if best.converged and not on_bounds(problem, best.values) else None

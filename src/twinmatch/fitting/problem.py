@@ -351,10 +351,19 @@ class Problem:
         counted = float(np.mean(self.seen[-residuals.shape[1] :]))
         return float(np.mean(np.square(residuals))) / counted if counted else math.nan
 
+    @property
+    def residual_count(self) -> float:
+        """Number of weighted residuals that are no stand-ins."""
+        return float(np.sum(self.seen)) * len(self.measured)
+
     def descend(
-        self, start: FloatArray, most_evaluations: int, found: Descended | None = None
+        self,
+        start: FloatArray,
+        most_evaluations: int,
+        found: Descended | None = None,
+        settled: float = 0.0,
     ) -> Descended:
-        """Least squares from one start inside the bounds."""
+        """Least squares from one start inside the bounds, as `twinmatch.dynamics.descend`."""
         return self.experiment.descend(
-            start, self.lower, self.upper, self.scales, most_evaluations, found
+            start, self.lower, self.upper, self.scales, most_evaluations, found, settled
         )

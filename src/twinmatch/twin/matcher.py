@@ -15,7 +15,7 @@ from twinmatch.defects import Defect, defect_of, log_once
 from twinmatch.dynamics import Parameters
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import GateLimits, Match, Status, match
-from twinmatch.fitting.lacks import LEFT, Lack, lack_of
+from twinmatch.fitting.lacks import LEFT, Lack, effort_for, lack_of
 from twinmatch.fitting.match import explaining, usable_fit, without_fit
 from twinmatch.fitting.problem import LASTING
 from twinmatch.requirements import OfPlant
@@ -179,9 +179,10 @@ def _lacking(
     request: MatchRequest, settings: TwinSettings, first: Match
 ) -> Lack | None:
     """The effect that explains most of what the first match leaves."""
+    effort = effort_for(first.chi2)
 
     def fit(start: Parameters) -> tuple[Parameters, float] | None:
-        best = usable_fit(request.window, start, settings.noise, settings.law)
+        best = usable_fit(request.window, start, settings.noise, settings.law, effort)
         return (
             None
             if best is None
