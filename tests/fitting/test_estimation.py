@@ -19,6 +19,7 @@ from scipy.signal import lfilter
 from twinmatch.dynamics import Parameters
 from twinmatch.fitting import FittingError, Match, estimate, estimate_ladder, match
 from twinmatch.fitting.estimation import (
+    Effort,
     Estimate,
     Uncertainty,
     on_bounds,
@@ -100,6 +101,25 @@ def test_any_rig_is_found_from_the_default_start(
     assert estimate.values == pytest.approx(
         [seebeck, conductance, heat_capacity], rel=1e-5
     )
+
+
+def test_a_search_of_less_effort_leaves_about_what_it_neglects(
+    record: Recorder,
+) -> None:
+    """Near a minimum steps promise what they keep, so an order of magnitude is far more than that."""
+    window = record(TRUTH, seed=1)
+    posed = problem(window)
+    starts = starts_for(posed, RIG.parameters())
+    full = solve(posed, starts)
+    quick = solve(posed, starts, Effort(100, negligible=0.01))
+    assert quick.converged
+    assert not np.array_equal(quick.values, full.values)
+    assert full.chi2 <= quick.chi2 <= full.chi2 + 0.1
+
+
+def test_a_search_with_too_few_evaluations_has_not_converged(record: Recorder) -> None:
+    posed = problem(record(TRUTH))
+    assert not solve(posed, starts_for(posed, RIG.parameters()), Effort(2)).converged
 
 
 def test_an_independent_program_finds_the_same(record: Recorder) -> None:

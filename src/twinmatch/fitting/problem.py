@@ -353,7 +353,7 @@ class Problem:
 
     @property
     def residual_count(self) -> float:
-        """Number of weighted residuals that are no stand-ins."""
+        """Number of weighted residuals, stand-ins left out."""
         return float(np.sum(self.seen)) * len(self.measured)
 
     def descend(
