@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +44,7 @@ from twinmatch.fitting import (
 )
 from twinmatch.fitting.estimation import (
     QUANTILE,
+    Effort,
     Estimate,
     Uncertainty,
     profile_intervals,
@@ -212,7 +215,10 @@ def test_what_stands_is_kept_only_as_far_as_the_window_allows(record: Recorder) 
 def test_a_fit_that_may_not_finish_did_not_converge(
     record: Recorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twinmatch.fitting.estimation._MAX_EVALUATIONS", 2)
+    hasty = partial(solve, effort=Effort(evaluations=2))
+    # `twinmatch.fitting.match` is the function once the package is imported.
+    module = importlib.import_module("twinmatch.fitting.match")
+    monkeypatch.setattr(module, "solve", hasty)
     assert match(record(TRUTH, seed=4), start=START).status is Status.DID_NOT_CONVERGE
 
 

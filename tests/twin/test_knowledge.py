@@ -306,9 +306,10 @@ def test_the_level_has_one_reason(
             *["not surely better than saying that nothing changes, with 1.05"] * 2,
         ),
         ((0.5, 0.5), 1.0, GOOD, "not surely better", ""),
-        # As good as ARX but for a tenth is enough, however sure the difference is.
-        ((0.5, 1.09), 0.01, (0.9, 20.0), "", ""),
-        ((0.5, 1.2), 0.1, (0.9, 20.0), f"worse than {ARX}, with 1.20 times", ""),
+        # As good as ARX but for a tenth is enough, unless the difference is sure.
+        ((0.5, 1.09), 0.1, (0.9, 20.0), "", ""),
+        ((0.5, 1.09), 0.01, (0.9, 20.0), *[f"worse than {ARX}, with 1.09 times"] * 2),
+        ((0.5, 1.2), 0.12, (0.9, 20.0), f"worse than {ARX}, with 1.20 times", ""),
         ((0.5, 1.5), 0.1, (0.9, 20.0), *[f"worse than {ARX}, with 1.50 times"] * 2),
         ((0.05, 1.4), 1.0, (0.9, 20.0), "", ""),
         # Of 20 forecasts 90 % are held with a standard error of 0.067, of 2 with one of 0.21.
