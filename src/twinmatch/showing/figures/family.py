@@ -349,7 +349,7 @@ def draw_uncertainty(members: Sequence[Member]) -> Figure:
     window = nominal.window
     answers = [response_on(m.score.parameters, window, m.settings.law) for m in members]
     loops = channels(nominal.settings.plant)
-    figure, stacks = columns(10, 6.2, (3, 2, 1.5, 1.5), len(loops))
+    figure, stacks = columns(10, 7.4, (3, 2, 2, 2), len(loops))
     for k, (axes, loop) in enumerate(zip(stacks, loops, strict=True)):
         _draw_answers(
             axes,
