@@ -27,6 +27,7 @@ from twinmatch.health.faults import (
 )
 from twinmatch.health.hypotheses import LESS, MORE, ChangeRow
 from twinmatch.health.reading_through import ReadThrough
+from twinmatch.health.runaway import RUNNING, WayBack
 from twinmatch.health.sentences import FaultSentences
 from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray, Sample
@@ -174,11 +175,17 @@ class ChannelMonitor:
         """When numbers of the plant were last said to be as before."""
         self._lies_of_output: dict[int, Lie] = {}
         """Of the outputs whose sensors lie now."""
+        self._ways_back: dict[int, WayBack] = {}
+        """Of the outputs whose readings have run away."""
+        self._believed: dict[int, FloatArray] = {}
+        """What was believed before the readings of an output were left out, shape (N,)."""
         self._past_lies: deque[Lie] = deque(maxlen=_KEPT)
         self._outputs = list(parameters.model.plant.outputs.items())
         self._spans = np.array([output.span for _, output in self._outputs])
         self._values = self._spans.mean(axis=1)
         self._begin = self._index = -2
+        self._lie_ended = -math.inf
+        """Sample at which the readings of a sensor were last taken again."""
         self._leads: tuple[object, int] = (None, 0)
         self._unnamed = 0
 
@@ -285,6 +292,8 @@ class ChannelMonitor:
         self.competition.push(sample, self._values, counts)
         self._impossible = np.where(possible, 0, self._impossible + 1)
         for output in np.flatnonzero(self._impossible == _NAMING.confirm).tolist():
+            if output in self._ways_back:
+                continue  # it is known to lie
             row = ChangeRow((Fault.SENSOR_IMPLAUSIBLE, output), "")
             best = Suspect(
                 row.cause,
@@ -299,6 +308,9 @@ class ChannelMonitor:
             # no filter has taken such readings: the newest is best
             self._read_through(output, 0)
         self._judge_jumps(self.competition.jumped(_NAMING.confirm - 1))
+        for output in self.competition.run_away(_NAMING.confirm):
+            self._name_run_away(output)
+        self._end_run_away()
         suspects = self._lost_and_weak(self.competition.suspects())
         self.suspects = [suspect for suspect in suspects if self._counts(suspect)]
         self._judge(self.suspects)
@@ -306,8 +318,65 @@ class ChannelMonitor:
         for output in [*self.competition.through]:
             if not self._lies(output):
                 del self.competition.through[output]
+        for output in [*self.competition.untaken]:
+            if not self._lies(output):
+                self._take_again(output)
         for output in range(len(self._outputs)):
             self._follow_lie(output)
+
+    def _name_run_away(self, output: int) -> None:
+        """Name a sensor whose reading has moved farther than its plant can."""
+        competition = self.competition
+        lasted = round(RUNNING.lasts * competition.second)
+        born = max(competition.count - lasted, 0)
+        self._ways_back[output] = WayBack(competition.second)
+        moved = float(competition.moved[output])
+        row = self._row_of_jump(output)
+        best = Suspect(row.cause, math.inf, row, moved, 0.0, born, -1)
+        self._raise(Fault.SENSOR_DRIFT, best, [best])
+        _, reason = self.sentences.ran_away(output, moved)
+        self._alarms[-1] = replace(self._alarms[-1], reason=reason)
+        self._leave_out(output, born)
+
+    def _leave_out(self, output: int, since: int) -> None:
+        """Read through a sensor whose readings say nothing of the plant."""
+        self._read_through(output, since)
+        self._believed[output] = self.competition.believed_before(since)
+        self.competition.leave_out(output)
+        self._leads = (None, 0)
+        self._unnamed = 0
+
+    def _end_run_away(self) -> None:
+        """End the alarms of readings that had run away, and are back."""
+        competition = self.competition
+        for output, way_back in [*self._ways_back.items()]:
+            if output not in competition.through:  # after a gap
+                self._ways_back[output] = WayBack(competition.second)
+                competition.read_through(output, 0)
+                continue
+            expected, band = competition.through[output].estimate
+            _, declared = self._outputs[output]
+            tolerance = max(RUNNING.bands * band, RUNNING.noises * declared.noise)
+            if way_back.take(float(self._values[output]) - expected, tolerance):
+                del self._ways_back[output]
+                if self._is_on(Fault.SENSOR_DRIFT, output):
+                    self._close()
+
+    def _is_on(self, fault: Fault, place: int) -> bool:
+        """Whether the alarm that is on is of this fault of this parameter, drive or output; that of several readings
+        that have jumped is of none."""
+        on = self.on
+        if on is None or not on.suspects:
+            return False
+        return (on.fault, on.suspects[0].cause[1]) == (fault, place)
+
+    def _take_again(self, output: int) -> None:
+        """Take the readings of a sensor again that is right again, as after a gap."""
+        self.competition.take_again(output, self._believed.pop(output))
+        self._lie_ended = self._index
+        self._begin = self._index + 1
+        self._leads = (None, 0)
+        self._unnamed = 0
 
     def _follow_lie(self, output: int) -> None:
         """Note that the sensor of an output begins to lie, or ends."""
@@ -395,6 +464,8 @@ class ChannelMonitor:
     def _lies(self, output: int) -> bool:
         """Whether the sensor of an output is known to be off, or frozen or without sense now."""
         on = self.on
+        if output in self._ways_back:
+            return True
         by_alarm = (
             on is not None
             and on.fault in _BY_ITSELF
@@ -567,9 +638,8 @@ class ChannelMonitor:
             return True
         is_new_room = is_new and fault is Fault.ROOM_CHANGED
         is_beside_a_lost_drive = is_new and fault in _OF_THE_PLANT and self._has_lost()
-        needs_more = (
-            is_new_room or is_beside_a_lost_drive or self._is_beside_a_lie(best)
-        )
+        is_beside_a_lie = self._is_beside_a_lie(best) or self._is_behind_a_lie
+        needs_more = is_new_room or is_beside_a_lost_drive or is_beside_a_lie
         return needs_more and best.evidence < _NAMING.more
 
     @staticmethod
@@ -595,6 +665,13 @@ class ChannelMonitor:
         concerned = place if TRAITS[fault].subject is Subject.OUTPUT else None
         outputs = range(len(self._outputs))
         return any(self._lies(output) for output in outputs if output != concerned)
+
+    @property
+    def _is_behind_a_lie(self) -> bool:
+        """Whether the readings of a sensor have been taken again for so short a time that states which nobody saw
+        meanwhile may still show."""
+        settles = _ENDING.settles * self.competition.second
+        return self._index - self._lie_ended < settles
 
     def _age(self, suspect: Suspect) -> float:
         """Time since its onset, in s of a plant as fast as the rig."""
@@ -627,7 +704,7 @@ class ChannelMonitor:
         least = max(suspect.row.least, remains)
         if not self._does_more(suspect):
             return least
-        if suspect.cause[1] == EVERY or remains:
+        if suspect.cause[1] == EVERY or remains or self._is_behind_a_lie:
             return max(least, MORE)
         crosses = self.competition.most_that_crosses(suspect)
         return max(least, min(crosses, MORE))
@@ -772,13 +849,12 @@ class ChannelMonitor:
             if self.shows(best) and (self.on is None or self.on.fault is Fault.DRIFT):
                 self._raise(fault, best, suspects)
                 self.competition.sensors[signal].is_accused = True
-                self._read_through(signal, best.born)
+                self._leave_out(signal, best.born)
             return
         if fault is Fault.DRIFT:
             self._wait_for_a_name(best, suspects)
             return
-        on = self.on
-        if on is None or (on.fault, on.suspects[0].cause[1]) != (fault, signal):
+        if not self._is_on(fault, signal):
             self._raise(fault, best, suspects)
         if fault is not Fault.DISTURBANCE:
             self._note_change(fault, best)

@@ -33,6 +33,7 @@ from twinmatch.health.hypotheses import (
 )
 from twinmatch.health.mixture import CROSSING, HealthyMixture
 from twinmatch.health.reading_through import ReadThrough, Rehearsal
+from twinmatch.health.runaway import RUNNING, NewestMovement, runs_away
 from twinmatch.health.sensors import Jump, LearnedSensor
 from twinmatch.settings import Rule
 from twinmatch.signals import BoolArray, FloatArray, Sample
@@ -146,6 +147,13 @@ class Competition:
         """Of each sensor that is right: how far off it is when it is read through."""
         self.through: dict[int, ReadThrough] = {}
         """Estimates of the outputs whose sensors lie, by their places."""
+        self._movements = [NewestMovement(self.second) for _ in outputs]
+        self._runs_away = [0 for _ in outputs]
+        """For how many samples in a row each reading has run away."""
+        self.moved = np.zeros(len(self.sensors))
+        """By how much each reading has moved lately, in its unit."""
+        self.untaken: set[int] = set()
+        """Outputs whose readings no filter takes, as they say nothing of the plant."""
         self.expect_back([])
         self.restart()
 
@@ -184,6 +192,8 @@ class Competition:
         for sensor, rehearsal in zip(self.sensors, self.rehearsals, strict=True):
             sensor.restart()
             rehearsal.drop()
+        for movement in self._movements:
+            movement.restart()
         self._clear()
 
     def _clear(self) -> None:
@@ -298,6 +308,9 @@ class Competition:
 
     def push(self, sample: Sample, values: FloatArray, counts: BoolArray) -> None:
         """Take the readings of a sample, and which of them count."""
+        are_sound = counts
+        if self.untaken:
+            counts = counts & ~np.isin(np.arange(counts.size), list(self.untaken))
         healthy = self.healthy
         table = self.table
         traces = self._traces
@@ -313,8 +326,10 @@ class Competition:
         readings = list(
             zip(self.sensors, values.tolist(), counts.tolist(), strict=True)
         )
-        for sensor, value, it_counts in readings:
-            sensor.read(value, it_counts)
+        for (sensor, value, _), is_sound in zip(
+            readings, are_sound.tolist(), strict=True
+        ):
+            sensor.read(value, is_sound)
         reading, variance = self._reading(values, counts, healthy.acting(u), row)
         self._arrived.append(reading.crossing.copy())
         levels = healthy.levels
@@ -356,12 +371,66 @@ class Competition:
         healthy.score_forecasts(self.count, values, counts, variance, reach)
         gained = healthy.members.gained[healthy.best].tolist()
         expected = healthy.members.expected[healthy.best].tolist()
-        for (sensor, value, it_counts), nats, due in zip(
-            readings, gained, expected, strict=True
+        for (sensor, value, _), is_sound, nats, due in zip(
+            readings, are_sound.tolist(), gained, expected, strict=True
         ):
-            sensor.learn(value, it_counts, nats, due)
+            sensor.learn(value, is_sound, nats, due)
         self.count += 1
         healthy.known += 1
+        self._follow_movements(values, are_sound)
+
+    def _follow_movements(self, values: FloatArray, counts: BoolArray) -> None:
+        """Note which readings move farther than the plant can."""
+        for output, sensor in enumerate(self.sensors):
+            usual = self._model.noise[output]
+            noise = max(sensor.noise, usual)
+            movement = self._movements[output].take(
+                float(values[output]), bool(counts[output]), noise
+            )
+            self.moved[output] = movement.size
+            if movement.is_beyond_known and self._is_beyond_plant(
+                output, movement.size, noise
+            ):
+                self._runs_away[output] += 1
+            else:
+                self._runs_away[output] = 0
+
+    def _is_beyond_plant(self, output: int, moved: float, noise: float) -> bool:
+        """Whether the plant, as it was known before, cannot move an output so far in so short a time."""
+        began = self.count - round(RUNNING.lasts * self.second)
+        before = self.believed_before(began)
+        since = _ENDS.earlier + RUNNING.lasts
+        falls, rises = self.healthy.farthest_movements(before, since, RUNNING.lasts)
+        return runs_away(moved, (float(falls[output]), float(rises[output])), noise)
+
+    def run_away(self, samples: int) -> list[int]:
+        """Outputs whose readings have run away for so many samples, which the equations forecast well before."""
+        if self.known < _FOLLOWING.rehearsed:
+            return []
+        variance = np.array([sensor.variance for sensor in self.sensors])
+        knows = self.healthy.skill.knows(variance)
+        return [
+            output
+            for output, lasted in enumerate(self._runs_away)
+            if lasted >= samples and knows[output] and output not in self.untaken
+        ]
+
+    def leave_out(self, output: int) -> None:
+        """Have no filter take the readings of an output that is read through, and have all forget what they have
+        taught: they believe what the estimate does."""
+        self.untaken.add(output)
+        self.healthy.continue_from(self.through[output].belief)
+        self._clear()
+
+    def take_again(self, output: int, before: FloatArray) -> None:
+        """Take the readings of an output again, as after a gap: every healthy member believes of the plant, and of
+        that sensor, what was believed `before` they said nothing, shape (N,)."""
+        self.untaken.discard(output)
+        is_led_back = self.healthy.of_plant.copy()
+        is_led_back[self.healthy.numbers[f"offset {output}"]] = True
+        healthy_members = self.healthy.members.at[: self.healthy.healthy]
+        healthy_members[:, is_led_back] = before[is_led_back]
+        self.restart()
 
     def _reading(
         self, values: FloatArray, counts: BoolArray, inputs: FloatArray, row: FloatArray

@@ -434,6 +434,51 @@ class HealthyMixture:
         ]
         return np.asarray(ends[0] - ends[1])
 
+    def farthest_movements(
+        self, belief: FloatArray, since: float, lasts: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """By how much the outputs fall and rise at most while a time `lasts` that ends within a time `since` after
+        a belief, shape (N,), whatever the drives do; times in s of a plant as fast as the rig, each of shape (o,).
+
+        What each drive does at its limits is added up.
+        """
+        usual = self._movements_from(belief, since, lasts, self._model.rest)
+        fall = usual.copy()
+        rise = usual.copy()
+        for j, drive in enumerate(self._model.plant.drives.values()):
+            alone = []
+            for limit in drive.limits:
+                inputs = self._model.rest.copy()
+                inputs[j] = limit
+                moved = self._movements_from(belief, since, lasts, inputs)
+                alone.append(moved - usual)
+            fall += np.minimum(0.0, np.minimum(*alone))
+            rise += np.maximum(0.0, np.maximum(*alone))
+        return fall.min(axis=0), rise.max(axis=0)
+
+    def _movements_from(
+        self, belief: FloatArray, since: float, lasts: float, inputs: FloatArray
+    ) -> FloatArray:
+        """Movements of the outputs under inputs, shape (m,), in each of the times `lasts` after a belief; shape
+        (k, o)."""
+        parameters = self._parameters_of(belief)
+        states = belief[: self._n]
+        shown = [readings(parameters, states)]
+        for _ in range(math.ceil(since / lasts)):
+            states = advance(parameters, states, inputs, lasts * self.scale)
+            shown.append(readings(parameters, states))
+        return np.diff(np.array(shown), axis=0)
+
+    def continue_from(self, member: BankMembers) -> None:
+        """Have every healthy member believe what a member believes, and weigh them as at the beginning."""
+        for array, believed in (
+            (self.members.at, member.at),
+            (self.members.covariance, member.covariance),
+        ):
+            array[: self.healthy] = believed[0]
+        self.log_weights = np.log(self._prior())
+        self.forget_newest()
+
     def _parameters_of(self, belief: FloatArray) -> Parameters:
         """The parameters of a belief, shape (N,)."""
         values = {}

@@ -79,6 +79,11 @@ class ReadThrough:
         self.estimate = MissingReading(math.nan, math.nan)
         """What the sensor should read now."""
 
+    @property
+    def belief(self) -> BankMembers:
+        """What is believed without the sensor, as one member."""
+        return self._member
+
     def push(self, reading: Reading, variance: float) -> None:
         """Take a sample in which this sensor does not count; `variance` is that of its noise."""
         self._newest = reading

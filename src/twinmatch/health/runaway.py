@@ -1,0 +1,121 @@
+"""Readings that run away: they move for seconds, and farther than their plant can.
+
+A sensor that slips off its body, or whose amplifier fails, shows such a movement. As it comes in many small steps, each
+reading is about where the one before was, so "no equations at all" explains it as well as anything.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twinmatch.settings import Rule
+
+
+class _Running(Rule):
+    """From when on a reading has run away, and when it is back; times in s of a plant as fast as the rig."""
+
+    lasts: float = 10.0
+    """Time over which its movement is looked at."""
+    farther: float = 2.5
+    """Times as far as the equations have the plant move at most, as losses may become larger."""
+    unseen: float = 2.0
+    """Times as far as the reading has ever moved in that time."""
+    noises: float = 8.0
+    """Standard deviations of a reading that it moves at least: an offset is reported from there on."""
+    at_once: float = 0.5
+    """Share of the movement from which on it is a jump, if it comes within three samples."""
+    late: float = 30.0
+    """Time after which a movement counts as one that the reading is known to make: by then it is known whether it
+    ran away."""
+    returns: float = 30.0
+    """Time within which one that is back has come back: a plant that cools down to where a lying sensor stands needs
+    longer."""
+    bands: float = 2.0
+    """Bands of its estimate that a reading may be off when it is back."""
+    off: float = 2.0
+    """Times its tolerance that it was off before it came back."""
+
+
+RUNNING: Final = _Running()
+
+
+class Movement(NamedTuple):
+    """By how much a reading has moved lately, in its unit."""
+
+    size: float
+    is_beyond_known: bool
+    """Whether it is far more than noise, no jump, and far more than the reading has been known to make."""
+
+
+class NewestMovement:
+    """The newest movement of one reading, and those that it is known to make."""
+
+    _SAMPLES_AT_ONCE: Final = 3
+
+    def __init__(self, second: float) -> None:
+        """Begin with no movement; `second`: samples in a second of a plant as fast as the rig."""
+        self._late = max(1, round(RUNNING.late * second))
+        self._samples = max(2 * self._SAMPLES_AT_ONCE, round(RUNNING.lasts * second))
+        self._farthest_fall = 0.0
+        self._farthest_rise = 0.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin again after a gap, keeping what is known."""
+        self._readings = deque[float](maxlen=self._samples + 1)
+        self._waiting = deque[float]()
+
+    def take(self, value: float, counts: bool, noise: float) -> Movement:
+        """Take a reading, whether it counts, and the standard deviation of its noise."""
+        if not counts:
+            self.restart()
+            return Movement(0.0, is_beyond_known=False)
+        self._readings.append(value)
+        moved = value - self._readings[0]
+        is_whole = len(self._readings) > self._samples
+        is_far = is_whole and abs(moved) > RUNNING.noises * noise
+        is_jump = is_far and self._comes_at_once(moved)
+        self._waiting.append(0.0 if is_jump else moved)
+        if len(self._waiting) > self._late:
+            self._know(self._waiting.popleft())
+        known = self._farthest_rise if moved > 0.0 else self._farthest_fall
+        is_beyond_known = is_far and not is_jump and abs(moved) > RUNNING.unseen * known
+        return Movement(moved, is_beyond_known)
+
+    def _comes_at_once(self, moved: float) -> bool:
+        values = np.array(self._readings)
+        steps = values[self._SAMPLES_AT_ONCE :] - values[: -self._SAMPLES_AT_ONCE]
+        return bool(np.abs(steps).max() >= RUNNING.at_once * abs(moved))
+
+    def _know(self, moved: float) -> None:
+        self._farthest_rise = max(self._farthest_rise, moved)
+        self._farthest_fall = max(self._farthest_fall, -moved)
+
+
+class WayBack:
+    """Whether a reading that ran away is back where it should be."""
+
+    def __init__(self, second: float) -> None:
+        """Begin while it is away; `second`: samples in a second of a plant as fast as the rig."""
+        self._returns = max(1, round(RUNNING.returns * second))
+        self._stays = max(1, round(RUNNING.lasts * second))
+        self._is_far = deque[bool](maxlen=self._returns)
+        self._samples_back = 0
+
+    def take(self, off: float, tolerance: float) -> bool:
+        """Take by how much a reading is off from its estimate, and how much of that says nothing; whether it is
+        back: it was far off shortly before, and has not been off since for a while."""
+        self._is_far.append(abs(off) > RUNNING.off * tolerance)
+        self._samples_back = self._samples_back + 1 if abs(off) <= tolerance else 0
+        return self._samples_back >= self._stays and any(self._is_far)
+
+
+def runs_away(moved: float, farthest: tuple[float, float], noise: float) -> bool:
+    """Whether a movement is farther than a plant makes that falls and rises by `farthest` at most; `noise` is the
+    standard deviation of a reading, all in its unit."""
+    fall, rise = farthest
+    possible = rise if moved > 0.0 else -fall
+    return abs(moved) > RUNNING.farther * max(possible, 0.0) + RUNNING.noises * noise

@@ -1,0 +1,151 @@
+"""Sensors that slip off, run away or freeze, on the public package's kit: their readings teach the twin nothing."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from tests.support.public_kit import public_kit
+from twinmatch.control import Controller
+from twinmatch.dynamics import law_of
+from twinmatch.emulation.faults import FaultSchedule, parse_faults
+from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
+from twinmatch.health.faults import Fault
+from twinmatch.health.runaway import RUNNING, NewestMovement, WayBack, runs_away
+from twinmatch.plants import TCLabBoth
+from twinmatch.signals import NANOSECONDS, Sample
+
+LEVELS = ((35.0, 35.0), (50.0, 35.0), (50.0, 45.0), (40.0, 45.0), (50.0, 40.0))
+"""Set-points of both heaters, °C, each held for `HOLD`."""
+HOLD = 450
+"""Seconds."""
+SOON = 15
+"""Seconds within which a reading that runs away is named; it has to move for ten."""
+
+
+class Watched(NamedTuple):
+    """What was said of a kit."""
+
+    alarms: tuple[ChannelAlarm, ...]
+    farthest_estimate: float
+    """By how much the newest estimate of a sensor was off at most, °C, from the twentieth second of a lie on."""
+
+
+def watched(seed: int, faults: str, size: int) -> Watched:
+    """A kit of the package's model under its usual loop, of `size` seconds."""
+    kit = public_kit(seed)
+    monitor = ChannelMonitor(TCLabBoth.model(TCLabBoth.followed).typical(), 1.0)
+    controller = Controller(law_of(TCLabBoth, 1.0))
+    schedule = FaultSchedule(parse_faults(faults))
+    read = [0.0, 0.0]
+    farthest = 0.0
+    for k in range(size):
+        schedule.due(k)
+        true = (float(kit.T1), float(kit.T2))
+        for place in range(2):
+            if not schedule.acts("sensor-frozen", place + 1):
+                read[place] = schedule.told(true[place], float(kit.Ta), k, place + 1)
+        reference = LEVELS[min(k // HOLD, len(LEVELS) - 1)]
+        command = controller.step(np.array(reference), np.array(read))
+        drives = (float(command[0]), float(command[1]))
+        monitor.push(Sample(k, k * NANOSECONDS, reference, (read[0], read[1]), drives))
+        for estimate in monitor.estimates:
+            off = abs(estimate.value - true[place_of(estimate.signal)])
+            farthest = max(farthest, off)
+        kit.Q1(drives[0])
+        kit.Q2(drives[1])
+        kit.update(float(k + 1))
+    return Watched(monitor.alarms, farthest)
+
+
+def place_of(name: str) -> int:
+    """Which sensor of the kit has a name."""
+    return list(TCLabBoth.outputs).index(name)
+
+
+@pytest.mark.parametrize(
+    ("kind", "signal"),
+    [
+        ("sensor-slips.1", "temperature"),
+        ("sensor-slips.2", "second_temperature"),
+        ("sensor-drifts.1", "temperature"),
+        ("sensor-drifts.2", "second_temperature"),
+    ],
+)
+def test_a_sensor_whose_reading_runs_away_is_named_at_once_and_alone(
+    kind: str, signal: str
+) -> None:
+    """Its loop drives its heater to 100 % meanwhile; no other name is given, and it is over soon after it is back."""
+    begins = 1400
+    ends = 1600
+    alarms, farthest_estimate = watched(500, f"{kind}@{begins}+{ends - begins}", 1750)
+    (alarm,) = alarms
+    assert (alarm.fault, alarm.signal) == (Fault.SENSOR_DRIFT, signal)
+    assert begins < alarm.flagged <= begins + SOON
+    assert "farther than the plant can" in alarm.reason
+    assert alarm.size < -RUNNING.noises * 0.1
+    assert alarm.last is not None
+    assert ends <= alarm.last <= ends + SOON
+    # The package's equations are not ours; the sensor itself is off by 20 °C and more.
+    assert farthest_estimate < 12.0
+
+
+def test_a_sensor_that_stays_off_stays_named() -> None:
+    """It reads the room from then on, and its filters take none of it."""
+    (alarm,) = watched(501, "sensor-slips.2@1500", 2000).alarms
+    assert (alarm.fault, alarm.signal) == (Fault.SENSOR_DRIFT, "second_temperature")
+    assert alarm.last is None
+
+
+@pytest.mark.parametrize("seed", [500, 502, 505])
+def test_a_named_frozen_sensor_that_moves_again_has_not_drifted(seed: int) -> None:
+    """What it showed for five minutes had been learned; then its readings seemed to be off by 8 °C, for good."""
+    (alarm,) = watched(seed, "sensor-frozen.2@1700+300", 2240).alarms
+    assert (alarm.fault, alarm.signal) == (Fault.SENSOR_FROZEN, "second_temperature")
+    assert alarm.last == 2000
+
+
+def test_steps_of_a_reading_are_jumps_and_do_not_run_away() -> None:
+    movement = NewestMovement(second=1.0)
+    values = [40.0] * 30 + [35.0] * 30
+    assert not any(movement.take(v, True, 0.1).is_beyond_known for v in values)
+
+
+def test_a_reading_may_move_as_far_as_it_has_before() -> None:
+    movement = NewestMovement(second=1.0)
+    falls = list(np.arange(80.0, 40.0, -0.4))
+    rests = [40.0] * 60
+    before = [movement.take(v, True, 0.1).is_beyond_known for v in falls + rests]
+    again = [movement.take(v, True, 0.1).is_beyond_known for v in falls]
+    assert any(before)
+    assert not any(again[20:])
+    faster = list(np.arange(40.0, 0.0, -1.0))
+    assert any(movement.take(v, True, 0.1).is_beyond_known for v in faster)
+
+
+def test_a_missing_reading_does_not_move() -> None:
+    movement = NewestMovement(second=1.0)
+    for _ in range(20):
+        movement.take(40.0, True, 0.1)
+    assert movement.take(0.0, False, 0.1).size == 0.0
+    assert not movement.take(30.0, True, 0.1).is_beyond_known
+
+
+@pytest.mark.parametrize(("moved", "expected"), [(-4.0, False), (-6.5, True)])
+def test_a_movement_is_compared_with_the_farthest_of_the_plant(
+    moved: float, expected: bool
+) -> None:
+    """A fall of 2 °C at most, 2.5 times as far, and eight noises of 0.1 °C."""
+    assert runs_away(moved, (-2.0, 9.0), 0.1) is expected
+
+
+def test_a_plant_that_cools_down_to_a_lying_sensor_does_not_bring_it_back() -> None:
+    slow = WayBack(second=1.0)
+    assert not any(slow.take(25.0 * np.exp(-k / 180.0), 1.0) for k in range(1500))
+    quick = WayBack(second=1.0)
+    away = [quick.take(25.0, 1.0) for _ in range(60)]
+    back = [quick.take(0.5, 1.0) for _ in range(20)]
+    assert not any(away)
+    assert back.index(True) == 9
