@@ -11,6 +11,7 @@ import pytest
 from tests.support.literature import (
     Recorded,
     evaporator,
+    fermenter,
     quadruple_tank,
     three_tanks,
 )
@@ -48,12 +49,14 @@ def watch(monitor: ChannelMonitor, outputs: FloatArray, inputs: FloatArray) -> N
         monitor.push(Sample(k, k, (), tuple(y), tuple(u)))
 
 
-@pytest.mark.parametrize("process", [quadruple_tank, three_tanks, evaporator])
+@pytest.mark.parametrize(
+    "process", [quadruple_tank, three_tanks, evaporator, fermenter]
+)
 def test_healthy_processes_in_a_first_plant_file_get_no_alarm(
     process: Callable[[], Recorded], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Roots, flows both ways and a level that integrates, in a file of lags: the tanks got a `disturbance`,
-    the evaporator's level a `sensor-drift`."""
+    the evaporator's level a `sensor-drift`. What dilution does to a fermenter depends on where it is: `drive-weak`."""
     recorded = process()
     monitor = first_monitor(recorded, process.__name__, monkeypatch, tmp_path)
     watch(monitor, recorded.outputs, recorded.inputs)

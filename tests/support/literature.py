@@ -127,6 +127,32 @@ def three_tanks(samples: int = 2000) -> Recorded:
     return Recorded(2.0, np.round((states + noise) / 0.05) * 0.05, inputs)
 
 
+def fermenter(samples: int = 3000) -> Recorded:
+    """Biomass, substrate and product of a continuous fermenter under dilution and feed (Henson and Seborg 1997, with
+    growth inhibited by substrate and product), g/L and 1/h."""
+    random = np.random.default_rng(18)
+    inputs = np.column_stack([
+        levels(random, 3000, 220, 0.12, 0.25),
+        levels(random, 3000, 260, 17.0, 23.0),
+    ])[:samples]  # fmt: skip
+
+    def rates(x: FloatArray, u: FloatArray) -> FloatArray:
+        biomass, substrate, product = x
+        dilution, feed = u
+        inhibited = 0.48 * (1.0 - product / 50.0)
+        growth = inhibited * substrate / (1.2 + substrate + substrate**2 / 22.0)
+        per_hour = [
+            (growth - dilution) * biomass,
+            dilution * (feed - substrate) - growth * biomass / 0.4,
+            (2.2 * growth + 0.2) * biomass - dilution * product,
+        ]
+        return np.array(per_hour) / 3600.0
+
+    states = driven(rates, [6.0, 5.0, 19.0], inputs, 360.0, 4)
+    noise = np.array([0.05, 0.05, 0.15]) * random.normal(size=(3000, 3))[:samples]
+    return Recorded(360.0, np.round(states + noise, 2), inputs)
+
+
 def evaporator(samples: int = 600) -> Recorded:
     """Level, m, concentration, %, and pressure, kPa, of an evaporator (Newell and Lee 1989), one a minute.
 

@@ -679,7 +679,10 @@ class ChannelMonitor:
 
     def _is_open(self, drive: Suspect) -> bool:
         """Whether a weak drive may still be a lost one, or one that does more an exchange that the equations
-        lack; or what all of them share be what the equations lack of the plant."""
+        lack; or what all of them share be what the equations lack of the plant. A small share is one of the
+        equations if these are inexact: what a drive does may depend on where the plant is."""
+        if self.competition.is_inexact and abs(drive.shift) < MORE:
+            return True
         is_of_all = drive.cause[1] == EVERY
         needs_more = self._does_more(drive) or is_of_all
         lacks_evidence = needs_more and drive.evidence < _NAMING.more

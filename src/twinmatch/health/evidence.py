@@ -40,6 +40,9 @@ from twinmatch.signals import BoolArray, FloatArray, Sample
 
 EVERY: Final = 2.0
 """Time between two onsets, s."""
+_INEXACT: Final = 3.0
+"""Times the expected squared errors from which on equations are inexact: kits come to 1.7, a fermenter in a
+file of lags to 4.6."""
 
 
 class _Following(Rule):
@@ -728,6 +731,12 @@ class Competition:
     def rough(self) -> bool:
         """Whether even the most careful of the levels does not doubt the equations enough."""
         return self.healthy.best == self.healthy.levels - 1
+
+    @property
+    def is_inexact(self) -> bool:
+        """Whether the equations' forecasts have erred far more than is expected of them, as those of a plant do
+        that is not linear where its equations are."""
+        return bool(self.healthy.doubts.max() > _INEXACT)
 
     @property
     def blind(self) -> bool:

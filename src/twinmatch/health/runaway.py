@@ -42,7 +42,7 @@ class _Running(Rule):
 RUNNING: Final = _Running()
 
 
-class Movement(NamedTuple):
+class ReadingMovement(NamedTuple):
     """By how much a reading has moved lately, in its unit."""
 
     size: float
@@ -68,11 +68,11 @@ class NewestMovement:
         self._readings = deque[float](maxlen=self._samples + 1)
         self._waiting = deque[float]()
 
-    def take(self, value: float, counts: bool, noise: float) -> Movement:
+    def take(self, value: float, counts: bool, noise: float) -> ReadingMovement:
         """Take a reading, whether it counts, and the standard deviation of its noise."""
         if not counts:
             self.restart()
-            return Movement(0.0, is_beyond_known=False)
+            return ReadingMovement(0.0, is_beyond_known=False)
         self._readings.append(value)
         moved = value - self._readings[0]
         is_whole = len(self._readings) > self._samples
@@ -83,7 +83,7 @@ class NewestMovement:
             self._know(self._waiting.popleft())
         known = self._farthest_rise if moved > 0.0 else self._farthest_fall
         is_beyond_known = is_far and not is_jump and abs(moved) > RUNNING.unseen * known
-        return Movement(moved, is_beyond_known)
+        return ReadingMovement(moved, is_beyond_known)
 
     def _comes_at_once(self, moved: float) -> bool:
         values = np.array(self._readings)
