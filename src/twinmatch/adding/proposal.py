@@ -238,7 +238,7 @@ class _FirstOrder(NamedTuple):
 
 def _estimated(signals: TableSignals, centre: float) -> tuple[float, _FirstOrder]:
     """The output's noise and the model, with its rest at the input's centre."""
-    columns = signals.longest_stretch()
+    columns = signals.longest_stretch
     reading = columns["output"]
     drive = columns["input"] - centre
     disturbance_columns = [columns[name] for name in signals.disturbances]

@@ -109,7 +109,7 @@ def propose_several(
     signals = TableSignals(table, signal_map, needed, longest=longest)
     inputs = [_input_signal(signals, name) for name in input_names]
     disturbances = signals.disturbance_signals()
-    columns = signals.longest_stretch()
+    columns = signals.longest_stretch
     surroundings = [
         around_of(signals.unit(name), disturbances, columns) for name in output_names
     ]
@@ -190,7 +190,7 @@ def _lagged(
     around: Around | None,
 ) -> LaggedOutput:
     """The lag of one output, of its readings and what moves it: inputs and disturbances."""
-    columns = signals.longest_stretch()
+    columns = signals.longest_stretch
     reading = columns[name]
     commanded = [drive.values for drive in drives]
     measured = [columns[disturbance] for disturbance in signals.disturbances]

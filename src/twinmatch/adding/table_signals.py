@@ -6,6 +6,7 @@ import keyword
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -174,6 +175,7 @@ class TableSignals:
         of_loops = {name for role in _ROLES for name in names_of(self._map, role)}
         return [name for name in self._map.sources if name not in {"time", *of_loops}]
 
+    @cached_property
     def longest_stretch(self) -> dict[str, FloatArray]:
         """The signals of the longest stretch without a gap: across a gap there are no rates."""
         longest = max(

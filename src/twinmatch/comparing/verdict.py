@@ -76,7 +76,7 @@ _PERSISTENCE: Final = (
 )
 _ARX: Final = "its forecasts are worse than {arx}, with {{}} times the error"
 _BANDS: Final = "its bands hold {} % of the readings"
-BEATEN_SOONER: Final = Shortfall(
+_BEATEN_SOONER: Final = Shortfall(
     "its forecasts are not surely better than {arx}, which is better sooner".format(
         **BASELINES
     ),
@@ -235,7 +235,7 @@ class ForecastScore:
             if doubt is not None:
                 doubts[horizon] = doubt
             if self._is_far_behind_arx(k):
-                beaten_sooner = BEATEN_SOONER
+                beaten_sooner = _BEATEN_SOONER
         return doubts
 
     def _doubt(self, k: int, *, held: bool) -> Shortfall | None:

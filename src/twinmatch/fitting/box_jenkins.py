@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,9 +34,6 @@ from twinmatch.fitting.prediction import (
 )
 from twinmatch.fitting.starts import Hops, start_values
 from twinmatch.signals import FloatArray
-
-if TYPE_CHECKING:
-    pass
 
 Outcome = tuple[Place, bool, int]
 """Final place of a search, whether it converged, and the number of steps."""

@@ -334,7 +334,7 @@ class ChannelMonitor:
         row = self._row_of_jump(output)
         best = Suspect(row.cause, math.inf, row, moved, 0.0, born, -1)
         self._raise(Fault.SENSOR_DRIFT, best, [best])
-        _, reason = self.sentences.ran_away(output, moved)
+        reason = self.sentences.ran_away(output, moved)
         self._alarms[-1] = replace(self._alarms[-1], reason=reason)
         self._leave_out(output, born)
 

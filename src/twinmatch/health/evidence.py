@@ -527,7 +527,7 @@ class Competition:
         healthy = self.healthy
         number = healthy.numbers[row.number]
         change = float(healthy.members.at[healthy.best, number] - before[number])
-        return math.expm1(change) if row.is_relative else change
+        return _in_unit_of(row, change)
 
     def effect_since(self, drive: int, before: FloatArray) -> float:
         """By how much more a drive does now than by what was believed before, as a share of that.
@@ -746,9 +746,7 @@ class Competition:
 
     def believed(self, name: str) -> float:
         """The believed value of one of the numbers."""
-        return float(
-            self.healthy.members.at[self.healthy.best, self.healthy.numbers[name]]
-        )
+        return self.number_in(self.healthy.members.at[self.healthy.best], name)
 
     def number_in(self, belief: FloatArray, name: str) -> float:
         """The value of one of the numbers in a belief, shape (N,)."""
@@ -834,7 +832,7 @@ class Competition:
         number = healthy.numbers[row.number]
         believed = float(healthy.members.at[healthy.best, number])
         left = believed + float(change[number]) - float(before[number])
-        return math.expm1(left) if row.is_relative else left
+        return _in_unit_of(row, left)
 
     def adopt(self, suspect: Suspect) -> None:
         """Take a change for how the plant is, in every healthy member: by its own trace, if it has one that
@@ -854,6 +852,11 @@ class Competition:
             if suspect.cause != (Fault.SENSOR_DRIFT, output):
                 # its rehearsal does not use that sensor
                 rehearsal.drop()
+
+
+def _in_unit_of(row: ChangeRow, change: float) -> float:
+    """A change of the number of a row in the row's unit: of a logarithm as a share."""
+    return math.expm1(change) if row.is_relative else change
 
 
 def _jumps_at_once(moved: FloatArray, off: float, samples: int) -> bool:

@@ -228,15 +228,14 @@ class FaultSentences:
         )
         return self._outputs[outputs[0]][0], reason
 
-    def ran_away(self, output: int, moved: float) -> tuple[str, str]:
-        """Name of an output whose reading has moved farther than its plant can, and a sentence."""
+    def ran_away(self, output: int, moved: float) -> str:
+        """A sentence on an output whose reading has moved farther than its plant can."""
         name, declared = self._outputs[output]
         size = f"{signed(moved)} {declared.unit}".rstrip()
-        reason = (
+        return (
             f"the readings of {declared.text or name} have moved by {size} within seconds, farther than the plant "
             f"can: look at the {declared.sensor}, and whether it sits where it should"
         )
-        return name, reason
 
     def said(
         self, fault: Fault, best: Suspect, share: float, rivals: tuple[str, ...]

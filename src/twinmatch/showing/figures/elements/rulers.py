@@ -101,12 +101,55 @@ class Ruler(Artist):
             depth += self.estimated_numbers
         return depth
 
+    def draw(self, renderer: RendererBase) -> None:
+        """Draw the side, the ticks, the numbers and the label."""
+        if not self.panel.axison:
+            return
+        edge = self._outer(self.panel.bbox)
+        begin, end = self._ends()
+        side = (self._point(begin, edge), self._point(end, edge))
+        ticks = [
+            (self._point(place, edge), self._point(place, edge - self._tick))
+            for place in self.places
+        ]
+        self._draw_side(renderer, side, ticks)
+        places = [self._point(place, edge - self._distance) for place in self.places]
+        self._draw_numbers(renderer, places)
+        self._place_label(renderer)
+        for text in (self.axis.label, self._factor(renderer)):
+            if text.get_text():
+                text.draw(renderer)
+
+    def numbers_edge(self, renderer: RendererBase) -> float:
+        """The edge of the numbers that is farthest from the panel, pixels."""
+        edge = self._outer(self.panel.bbox)
+        if not self.numbers:
+            return edge - self._tick
+        outermost = min(self._outer(box) for box in self._longest_boxes(renderer))
+        return edge - self._distance + outermost
+
     def _places_of(self, values: FloatArray) -> FloatArray:
         """Where values of the axis are along the panel's side, pixels."""
         raise NotImplementedError
 
     def _ends(self) -> tuple[float, float]:
         """Where the panel's side begins and ends, pixels."""
+        raise NotImplementedError
+
+    def _outer(self, box: Bbox) -> float:
+        """The side of a box at which the ruler of a panel lies, pixels."""
+        raise NotImplementedError
+
+    def _point(self, along: float, across: float) -> tuple[float, float]:
+        """A point by its places along the panel's side and across it, pixels."""
+        raise NotImplementedError
+
+    def _place_label(self, renderer: RendererBase) -> None:
+        """Place the label behind the numbers, if that is not done yet."""
+        raise NotImplementedError
+
+    def _factor(self, renderer: RendererBase) -> Text:
+        """What all numbers are to be multiplied by, or their offset, in its place; empty without one."""
         raise NotImplementedError
 
     def _in_pixels(self, points: float) -> float:
@@ -180,46 +223,29 @@ class BottomRuler(Ruler):
             last = self._box_of(self.numbers[-1], renderer)
             begin = min(begin, self.places[0] + first.x0)
             end = max(end, self.places[-1] + last.x1)
-        edge = self._numbers_edge(renderer)
-        bottom = edge
+        bottom = self.numbers_edge(renderer)
         if self.axis.get_label_text():
             height = self.axis.label.get_window_extent(renderer).height
             bottom -= self._label_distance + height
-        factor = self._factor(edge)
+        factor = self._factor(renderer)
         if factor.get_text():
             bottom = min(bottom, factor.get_window_extent(renderer).y0)
         return Bbox.from_extents(begin, bottom, end, box.y0)
 
-    def draw(self, renderer: RendererBase) -> None:
-        """Draw the side, the ticks, the numbers and the label."""
-        if not self.panel.axison:
-            return
-        box = self.panel.bbox
-        end = box.y0 - self._tick
-        ticks = [((x, box.y0), (x, end)) for x in self.places]
-        self._draw_side(renderer, ((box.x0, box.y0), (box.x1, box.y0)), ticks)
-        places = [(x, box.y0 - self._distance) for x in self.places]
-        self._draw_numbers(renderer, places)
-        edge = self._numbers_edge(renderer)
-        if self.axis.get_label_text():
-            self.axis.label.set_y(edge - self._label_distance)
-            self.axis.label.draw(renderer)
-        factor = self._factor(edge)
-        if factor.get_text():
-            factor.draw(renderer)
+    def _place_label(self, renderer: RendererBase) -> None:
+        self.axis.label.set_y(self.numbers_edge(renderer) - self._label_distance)
 
-    def _factor(self, edge: float) -> Text:
-        """What all numbers are to be multiplied by, or their offset, below the lower edge of the numbers."""
+    def _factor(self, renderer: RendererBase) -> Text:
+        """Below the lower edge of the numbers."""
         factor = self.axis.get_offset_text()
-        factor.set_y(edge - self._in_pixels(_FACTOR_DISTANCE))
+        factor.set_y(self.numbers_edge(renderer) - self._in_pixels(_FACTOR_DISTANCE))
         return factor
 
-    def _numbers_edge(self, renderer: RendererBase) -> float:
-        """Lower edge of the numbers, pixels."""
-        if not self.numbers:
-            return float(self.panel.bbox.y0) - self._tick
-        lowest: float = min(box.y0 for box in self._longest_boxes(renderer))
-        return float(self.panel.bbox.y0) - self._distance + lowest
+    def _outer(self, box: Bbox) -> float:
+        return float(box.y0)
+
+    def _point(self, along: float, across: float) -> tuple[float, float]:
+        return along, across
 
     def _places_of(self, values: FloatArray) -> FloatArray:
         points = np.column_stack([values, np.zeros_like(values)])
@@ -257,34 +283,15 @@ class LeftRuler(Ruler):
         if self.axis.get_label_text():
             width = self.axis.label.get_window_extent(renderer).width
             left -= self._label_distance + width
-        factor = self._factor()
+        factor = self._factor(renderer)
         if factor.get_text():
             end = max(end, factor.get_window_extent(renderer).y1)
         return Bbox.from_extents(left, begin, box.x0, end)
 
     def draw(self, renderer: RendererBase) -> None:
-        """Draw the side, the ticks, the numbers and the label."""
+        """Place the labels of all rulers that are aligned by this one, and draw this one."""
         self._place_labels(renderer)
-        if not self.panel.axison:
-            return
-        box = self.panel.bbox
-        end = box.x0 - self._tick
-        ticks = [((box.x0, y), (end, y)) for y in self.places]
-        self._draw_side(renderer, ((box.x0, box.y0), (box.x0, box.y1)), ticks)
-        places = [(box.x0 - self._distance, y) for y in self.places]
-        self._draw_numbers(renderer, places)
-        if self.axis.get_label_text():
-            self.axis.label.draw(renderer)
-        factor = self._factor()
-        if factor.get_text():
-            factor.draw(renderer)
-
-    def numbers_edge(self, renderer: RendererBase) -> float:
-        """Left edge of the numbers, pixels."""
-        if not self.numbers:
-            return float(self.panel.bbox.x0) - self._tick
-        leftmost: float = min(box.x0 for box in self._longest_boxes(renderer))
-        return float(self.panel.bbox.x0) - self._distance + leftmost
+        super().draw(renderer)
 
     def _place_labels(self, renderer: RendererBase) -> None:
         """Place the labels of all rulers that are aligned by this one."""
@@ -297,11 +304,21 @@ class LeftRuler(Ruler):
         for ruler in self.aligned:
             ruler.axis.label.set_x(edge - self._label_distance)
 
-    def _factor(self) -> Text:
-        """What all numbers are to be multiplied by, or their offset, above the panel's side."""
+    def _place_label(self, renderer: RendererBase) -> None:
+        """Nothing: the first of the rulers that are aligned has placed it."""
+
+    def _factor(self, renderer: RendererBase) -> Text:
+        """Above the panel's side."""
+        del renderer
         factor = self.axis.get_offset_text()
         factor.set_y(self.panel.bbox.y1 + self._in_pixels(_FACTOR_DISTANCE))
         return factor
+
+    def _outer(self, box: Bbox) -> float:
+        return float(box.x0)
+
+    def _point(self, along: float, across: float) -> tuple[float, float]:
+        return across, along
 
     def _places_of(self, values: FloatArray) -> FloatArray:
         points = np.column_stack([np.zeros_like(values), values])
