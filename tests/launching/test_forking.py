@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -36,11 +37,15 @@ def program(tmp_path: Path) -> str:
 
 
 def start(
-    server: ForkServer, output: Path, *words: str, folder: Path | None = None
+    server: ForkServer,
+    output: Path,
+    *words: str,
+    folder: Path | None = None,
+    environment: Mapping[str, str] = {"A": "b"},
 ) -> Forked:
     with output.open("w") as stream:
         return server.start(
-            *words, output=stream.fileno(), environment={"A": "b"}, folder=folder
+            *words, output=stream.fileno(), environment=environment, folder=folder
         )
 
 
@@ -68,6 +73,27 @@ def test_a_program_finds_what_it_would_if_it_were_started(
     ]
     assert json.loads(reported) == expected
     assert error == "a line with an error"
+
+
+@pytest.mark.parametrize(
+    ("environment", "kept"), [({}, True), ({"PYTHONDONTWRITEBYTECODE": "1"}, False)]
+)
+def test_what_it_imports_is_kept_compiled_unless_its_environment_forbids(
+    tmp_path: Path, environment: dict[str, str], kept: bool
+) -> None:
+    """A file that is written twice in a second with as many characters is else not read again."""
+    (tmp_path / "imported.py").write_text("")
+    program = tmp_path / "importing.py"
+    program.write_text('import sys; sys.path.insert(0, ""); import imported')
+    forked = start(
+        fork_server(),
+        tmp_path / "output",
+        str(program),
+        folder=tmp_path,
+        environment=environment,
+    )
+    assert forked.wait(PATIENCE) == 0, (tmp_path / "output").read_text()
+    assert any(tmp_path.glob("__pycache__/imported.*")) == kept
 
 
 def test_a_module_is_run_like_with_m(tmp_path: Path) -> None:

@@ -274,6 +274,8 @@ def _prepare(
     os.close(output)
     os.environ.clear()
     os.environ.update(environment)
+    # the interpreter reads it when it starts, which here was long ago
+    sys.dont_write_bytecode = bool(environment.get("PYTHONDONTWRITEBYTECODE"))
     os.chdir(folder)
     name = words[2] if words[0] == "-m" and len(words) > 2 else words[0]
     name_process(Path(name).name)
