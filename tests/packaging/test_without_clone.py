@@ -26,7 +26,6 @@ import ready_wheel
 
 from tests.support.places import PROJECT, SHIPPED
 from tests.support.processes import Processes
-from tests.support.waiting import PATIENCE
 from twinmatch.plants import PLANTS
 
 pytestmark = [
@@ -35,7 +34,6 @@ pytestmark = [
 ]
 
 
-PATIENT = 4 * PATIENCE  # kernels may be compiled first
 FIRST_REPLAY = """
 import sys
 from twinmatch.cli import main
@@ -192,8 +190,8 @@ def test_the_virtual_rig_runs_live_until_ctrl_c(
         "first",
     ]
     process = programs.start(installed / "twinmatch", *words, folder=tmp_path)
-    process.said("recording into", patience=PATIENT)
-    process.said(r"level +decided", patience=PATIENT)
+    process.said("recording into")
+    process.said(r"level +decided")
     time.sleep(5)  # of samples
     process.send(signal.SIGINT)
     assert process.wait() == 0, process.text

@@ -19,7 +19,6 @@ from tests.support.oven import HOLD, MAP, PERIOD, RIG, oven_file
 from tests.support.places import LAUNCH_SCRIPTS
 from tests.support.processes import Process, Processes, run_twinmatch
 from tests.support.ros import listening
-from tests.support.waiting import PATIENCE
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import read_session
@@ -27,8 +26,6 @@ from twinmatch.sessions.metadata import parameters_of
 from twinmatch_msgs.msg import Forecast, LoopSample, Match, MatchRequest, ModelScore
 
 ATTACH = LAUNCH_SCRIPTS / "attach.py"
-FIRST = 4 * PATIENCE
-"""Until the first verdict: the code of a plant's first match is compiled while the rig continues."""
 ENTRIES = [f"{name}={text}" for name, text in MAP.items()]
 
 
@@ -80,7 +77,7 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
         requests = listener.hear(MatchRequest, "twin/match_request", 10)
         samples = listener.hear(LoopSample, "plant/sample", EVERYTHING)
         listener.spin_until(
-            lambda: verdicts and matches and forecasts, lambda: run.text, FIRST
+            lambda: verdicts and matches and forecasts, lambda: run.text
         )
         commanding = listener.node.get_publishers_info_by_topic("/oven/heater")
         assert [info.node_name for info in commanding] == ["oven_rig"]
@@ -97,7 +94,6 @@ def test_from_the_topics_of_a_foreign_rig_to_verdicts_that_verify(
         listener.spin_until(
             lambda: {r.sample for r in requests} <= {m.sample for m in matches},
             lambda: run.text,
-            FIRST,
         )
     assert run.end(signal.SIGINT) == 0
     assert re.search(

@@ -19,7 +19,6 @@ pytest.importorskip(
 
 from tests.support.places import LAUNCH_SCRIPTS, PROJECT
 from tests.support.processes import Process, Processes, run_twinmatch
-from tests.support.waiting import PATIENCE
 from twinmatch.sessions import read_session
 
 PAGE = (PROJECT / "docs" / "attach.md").read_text(encoding="utf-8")
@@ -51,9 +50,7 @@ def test_the_page_leads_from_a_rig_to_a_verdict_and_through_a_bag(
     rig = processes.python("oven_rig.py", folder=tmp_path)
     attach, verify, list_topics, take, judge = COMMANDS
     run = forked(processes, tmp_path, attach)
-    run.said(
-        r"^ *\d+ +(unknown|usable|doubtful|trusted|unusable|good|faulty)", 4 * PATIENCE
-    )
+    run.said(r"^ *\d+ +(unknown|usable|doubtful|trusted|unusable|good|faulty)")
     assert run.end(signal.SIGINT) == 0
     assert rig.running
     assert re.search(

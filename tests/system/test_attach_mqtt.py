@@ -16,7 +16,7 @@ import pytest
 from tests.support.broker import RunningBroker, require
 from tests.support.places import PROJECT
 from tests.support.processes import Process, Processes, no_plant_files, run_twinmatch
-from tests.support.waiting import PATIENCE, wait_for
+from tests.support.waiting import wait_for
 from twinmatch.links.mqtt_client import Broker
 from twinmatch.offline.verification import verify_session
 from twinmatch.sessions import read_session
@@ -35,7 +35,6 @@ COMMANDS = [
     for line in "".join(BLOCKS).splitlines()
     if "pip" not in line
 ]
-FIRST = 4 * PATIENCE
 HURRY = 0.04
 """Seconds between two steps of the home, and between two samples: a verdict needs hundreds of them."""
 VERDICT = r"^ *\d+ +(unknown|doubtful|trusted|fault) "
@@ -140,7 +139,7 @@ def test_the_page_leads_from_a_room_to_a_verdict_without_ros(
         lambda message: payloads.update({message.topic: bytes(message.payload)}),
     )
     run = home.attach("--tell", home.broker.url, without_ros=True)
-    run.said(VERDICT, FIRST)
+    run.said(VERDICT)
     [address] = re.findall(r"page: (http\S+)", run.text)
     with urllib.request.urlopen(f"{address}metrics") as answer:
         assert 'twinmatch_trust_level{level="unknown"} 1.0' in answer.read().decode()
@@ -168,7 +167,7 @@ def test_where_ros_is_installed_the_graph_listens_to_the_broker(home: Home) -> N
         "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
     )
     run = home.attach()
-    run.said(VERDICT, FIRST)
+    run.said(VERDICT)
     home.broker.kill()
     run.said(
         r"sampler: health: .*the connection to the broker at 127.0.0.1:\d+ is lost"
@@ -195,9 +194,9 @@ def test_a_broker_that_is_gone_is_a_gap_and_a_run_that_is_killed_leaves_a_sessio
     run = home.attach("--alone", dashboard=False)
     run.said(r"^t / s")
     home.broker.kill()
-    run.said(r"output: .*the connection to the broker at 127.0.0.1:\d+ is lost", FIRST)
+    run.said(r"output: .*the connection to the broker at 127.0.0.1:\d+ is lost")
     house.mend()
-    run.said(r"output: there are values again", FIRST)
+    run.said(r"output: there are values again")
     folder = home.folder / "first"
     wait_for(
         lambda: any(f.stat().st_size > 20_000 for f in folder.glob("*.mcap")),

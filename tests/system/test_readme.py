@@ -24,12 +24,10 @@ from tests.support.bags import number, temperature
 from tests.support.oven import RIG, oven_file
 from tests.support.places import PROJECT, SHIPPED
 from tests.support.processes import Processes, run_twinmatch
-from tests.support.waiting import PATIENCE
 from twinmatch.cli import command_parser
 from twinmatch.sessions import read_session, write_session
 
 README = (PROJECT / "README.md").read_text("utf-8")
-PATIENT = 4 * PATIENCE
 LINES = [
     line.split(" #")[0].strip()
     for block in re.findall(
@@ -206,10 +204,10 @@ def run(command: str, how: Runs, folder: Path, processes: Processes) -> str:
             sys.executable, *ours, *arguments, folder=folder, forked=True
         )
     if how.until is not None:
-        process.said(how.says, PATIENT)
+        process.said(how.says)
         assert process.end(signal.SIGINT) == how.until, process.text
         return process.text
-    assert process.wait(PATIENT) == 0, process.text
+    assert process.wait() == 0, process.text
     assert re.search(how.says, process.text, re.MULTILINE), process.text
     return process.text
 
