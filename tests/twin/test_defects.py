@@ -40,7 +40,7 @@ PARTS = (
     "twin.candidates.nu_gap_matrix",
     "twin.candidates.nominal_of",
     "twin.candidates.judge_uncertainty",
-    "comparing.verdict.family_uncertainty",
+    "comparing.certainty.family_uncertainty",
     "twin.structure_fits.fit_structure",
     "twin.forecaster.Forecaster.push",
     "twin.forecaster.Forecaster.enter",

@@ -38,7 +38,7 @@ from typing import Final
 import numpy as np
 
 from twinmatch.comparing import BASELINES
-from twinmatch.comparing.verdict import ONE_SIDED
+from twinmatch.comparing.forecast_score import ONE_SIDED
 from twinmatch.forecasting.forecast import CONFIDENCE
 from twinmatch.signals import FloatArray
 
