@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.bank.kits import typical
-from twinmatch.comparing import ForecastScore
-from twinmatch.comparing.verdict import Shortfall, doubt_words
+from twinmatch.comparing import ForecastScore, Shortfall, doubt_words
 
 HORIZON = 10.0
 LATER = 60.0

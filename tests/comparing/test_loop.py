@@ -27,6 +27,7 @@ from twinmatch.comparing import (
     spans_of,
     stability_margin,
 )
+from twinmatch.comparing.certainty import with_margins
 from twinmatch.comparing.graph_symbol import graph_symbol
 from twinmatch.comparing.margin import Scales, loop_plant
 from twinmatch.comparing.models import operating_level
@@ -38,7 +39,6 @@ from twinmatch.comparing.polynomials import (
     multiply,
     to_half_plane,
 )
-from twinmatch.comparing.verdict import with_margins
 from twinmatch.dynamics import (
     Controller,
     Parameters,

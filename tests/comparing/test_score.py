@@ -34,6 +34,7 @@ from twinmatch.comparing import (
     stability_margin,
     twin_response,
 )
+from twinmatch.comparing.certainty import Certainty
 from twinmatch.comparing.criteria import Criteria
 from twinmatch.comparing.margin import loop_plant
 from twinmatch.comparing.models import ahead, deviations, operating_level
@@ -47,7 +48,6 @@ from twinmatch.comparing.uncertainty import (
     fitting_scales,
     turn,
 )
-from twinmatch.comparing.verdict import Certainty
 from twinmatch.dynamics import Parameters, PidGains, begin, law_of, simulate_closed_loop
 from twinmatch.fitting import FittingError
 from twinmatch.plants import Peltier

@@ -21,9 +21,9 @@ from twinmatch.comparing import (
     plant_gaps,
     spans_of,
 )
+from twinmatch.comparing.certainty import DECIDED_FROM
 from twinmatch.comparing.plant_gap import PlantGaps
 from twinmatch.comparing.uncertainty import covariance_root, family_uncertainty
-from twinmatch.comparing.verdict import DECIDED_FROM
 from twinmatch.dynamics import Parameters, begin, law_of, simulate_closed_loop
 from twinmatch.fitting import match
 from twinmatch.plants import Peltier

@@ -27,7 +27,7 @@ SAID = "no verdict could be made, because of a defect"
 PARTS = (
     "twin.door.Refusals.settle",
     "twin.door.GapFiller.take",
-    "twin.engine.Monitor.push",
+    "health.monitor.Monitor.push",
     "twin.engine.Schedule.push",
     "twin.engine.BandHistory.push",
     "twin.engine.residuals",
@@ -40,7 +40,7 @@ PARTS = (
     "twin.candidates.nu_gap_matrix",
     "twin.candidates.nominal_of",
     "twin.candidates.judge_uncertainty",
-    "comparing.verdict.family_uncertainty",
+    "comparing.certainty.family_uncertainty",
     "twin.structure_fits.fit_structure",
     "twin.forecaster.Forecaster.push",
     "twin.forecaster.Forecaster.enter",
@@ -252,7 +252,7 @@ def test_a_defect_at_every_sample_is_logged_once_and_said_in_the_interval_of_ver
     samples: list[Sample], twin: Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broken = Broken(
-        monkeypatch, "twin.engine.Monitor.push", ZeroDivisionError(), once=False
+        monkeypatch, "health.monitor.Monitor.push", ZeroDivisionError(), once=False
     )
     with pytest.warns(DefectWarning) as warned:
         verdicts = run(samples[BREAKS:420], broken, twin)
@@ -269,7 +269,7 @@ def test_a_fault_whose_watch_failed_stays_on(monkeypatch: pytest.MonkeyPatch) ->
     """A monitor without a past knows nothing of a drive that was lost; nobody has seen it come back."""
     steps = drive_lost()
     twin = Twin()
-    broken = Broken(monkeypatch, "twin.engine.Monitor.push", ZeroDivisionError())
+    broken = Broken(monkeypatch, "health.monitor.Monitor.push", ZeroDivisionError())
     with pytest.warns(DefectWarning):
         verdicts = run(steps, broken, twin, breaks_at=690)
     (defective_verdict,) = defective(verdicts)

@@ -18,7 +18,7 @@ import numpy as np
 from twinmatch.adding.check import Shown
 from twinmatch.adding.noise import noise_of
 from twinmatch.adding.trial import CheckedPlant, Finding, time_constants
-from twinmatch.comparing.verdict import FEW, Verdict, doubt_words
+from twinmatch.comparing import FEW, Verdict, doubt_words
 from twinmatch.dynamics import Law, Model, Parameters, Plant, PlantError, commands_of
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import FittingError, Noise, StructureFit, fit_structure, in_parts

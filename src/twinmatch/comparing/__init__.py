@@ -14,6 +14,7 @@ nearest to all others, and `judge_uncertainty` gives the uncertainty of all this
 result, and `statements_of` says what it means for trust and faults.
 """
 
+from twinmatch.comparing.certainty import DECIDED_FROM, judge_uncertainty, nominal_of
 from twinmatch.comparing.code_length import (
     code_length,
     information_gain,
@@ -30,6 +31,14 @@ from twinmatch.comparing.criteria import (
     score,
     score_orders,
 )
+from twinmatch.comparing.doubts import (
+    BASELINES,
+    FEW,
+    Shortfall,
+    doubt_words,
+    number_list,
+)
+from twinmatch.comparing.forecast_score import ForecastScore, SignalScore
 from twinmatch.comparing.graph_symbol import GraphSymbol
 from twinmatch.comparing.margin import loop_controller, stability_margin
 from twinmatch.comparing.matrix_gap import matrix_margin, matrix_nu_gap
@@ -64,21 +73,11 @@ from twinmatch.comparing.statements import (
 from twinmatch.comparing.undefined import UndefinedError, having_value
 from twinmatch.comparing.verdict import (
     ADMITTED,
-    BASELINES,
-    DECIDED_FROM,
-    FEW,
     LEVEL_WORDS,
     REFUSED,
     CandidateScore,
-    ForecastScore,
-    Shortfall,
-    SignalScore,
     TrustLevel,
     Verdict,
-    doubt_words,
-    judge_uncertainty,
-    nominal_of,
-    number_list,
 )
 
 __all__ = [

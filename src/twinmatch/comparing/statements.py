@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from twinmatch.comparing.verdict import LEVEL_WORDS, TrustLevel, Verdict, horizon_list
+from twinmatch.comparing.doubts import horizon_list
+from twinmatch.comparing.verdict import LEVEL_WORDS, TrustLevel, Verdict
 from twinmatch.safety import is_limit
 
 _PLACE: Final = ": look at "

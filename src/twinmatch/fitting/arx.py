@@ -144,12 +144,59 @@ class _Fit(NamedTuple):
 
     factor: FloatArray
     """Triangular factor of [1, lags, step of the outputs], weighted by age."""
-    rows: int
+    samples: int
     """Number of samples that are in it."""
     weight: float
     """Sum of their weights."""
     level: FloatArray
     """Values of all signals to which the lags are relative; empty before the first sample."""
+
+    def with_rows(self, rows: FloatArray, kept: float) -> _Fit:
+        """The fit with further samples, one per row as in `factor`, oldest first.
+
+        `kept` is the factor on past weights per sample.
+        """
+        count, width = rows.shape
+        ages = np.arange(count - 1, -1, -1)
+        weights = kept**ages
+        weighted_rows = np.sqrt(weights)[:, None] * rows
+        factor = self.factor if self.samples else np.zeros((width, width))
+        aged_factor = kept ** (count / 2) * factor
+        return self._replace(
+            factor=np.asarray(
+                np.linalg.qr(np.vstack([aged_factor, weighted_rows]), mode="r")
+            ),
+            samples=self.samples + count,
+            weight=kept**count * self.weight + float(weights.sum()),
+        )
+
+    def coefficients(self, outputs: int) -> FloatArray:
+        """The coefficients of the order with the least AICc, shape (o, 1 + p·(o + m + d)).
+
+        Empty while there are too few samples.
+        """
+        size = self._best_size(outputs)
+        if size == 0:
+            return np.zeros((0, 0))
+        columns = self.factor[:size, :size]
+        targets = self.factor[:size, -outputs:]
+        scale = np.maximum(np.linalg.norm(columns, axis=0), _TINY)
+        scaled = np.linalg.lstsq(columns / scale, targets, rcond=_RANK)[0]
+        return np.ascontiguousarray((scaled / scale[:, None]).T)
+
+    def _best_size(self, outputs: int) -> int:
+        """How many coefficients each output has in the order with the least AICc; 0 while there are too few
+        samples."""
+        sizes = 1 + self.level.size * np.arange(1, MAX_ORDER + 1)
+        sizes = sizes[sizes * _MIN_ROWS <= self.weight + 1e-9]
+        if not sizes.size:
+            return 0
+        targets = self.factor[:, -outputs:]
+        # Below its first n rows, the factor holds what n coefficients leave of the targets.
+        products = targets[:, :, None] * targets[:, None, :]
+        left_open = np.cumsum(products[::-1], axis=0)[::-1]
+        criteria = _aicc(left_open[sizes] / self.weight, sizes, self.weight)
+        return int(sizes[np.argmin(criteria)])
 
 
 class Arx:
@@ -179,9 +226,8 @@ class Arx:
         if len(self._newest) - self._learned >= _BLOCK:
             self._fit = self._fit_now()
             if not self._is_whole:
-                self._newest = self._without_lost(
-                    self._coefficients(self._fit), self._fit.level
-                )
+                coefficients = self._fit.coefficients(len(self.visited))
+                self._newest = self._without_lost(coefficients, self._fit.level)
             self._newest = self._newest[-MAX_ORDER:]
             self._learned = MAX_ORDER
 
@@ -194,7 +240,7 @@ class Arx:
     def departure(self, controller: FloatArray) -> ArxForecast:
         """The model at the newest sample, with the controller's state after it."""
         fit = self._fit_now()
-        coefficients = self._coefficients(fit)
+        coefficients = fit.coefficients(len(self.visited))
         newest = (
             self._newest
             if self._is_whole
@@ -265,53 +311,19 @@ class Arx:
         It is kept after every `_BLOCK` of them and never when a forecast is asked for: the blocks in which a
         factor is updated change its last bits.
         """
-        new = _rows_of(self._newest)
-        is_received = np.array([sample.seen for sample in self._newest])
+        signals = _rows_of(self._newest)
         first = max(self._learned, MAX_ORDER)
         fit = self._fit
-        if first >= len(new):
+        if first >= len(signals):
             return fit
-        level = fit.level if fit.level.size else new[int(np.argmax(is_received))]
+        is_received = np.array([sample.seen for sample in self._newest])
+        if not fit.level.size:
+            fit = fit._replace(level=signals[int(np.argmax(is_received))])
         places = _with_whole_past(is_received, first)
         if not places.size:
-            return fit._replace(level=level)
-        o = len(self.visited)
-        relative = new - level
-        before = places[:, None] - np.arange(1, MAX_ORDER + 1)
-        lags = relative[before].reshape(places.size, -1)
-        steps = new[places, :o] - new[places - 1, :o]
-        rows = np.hstack([np.ones((places.size, 1)), lags, steps])
-        weights = self._kept ** np.arange(places.size - 1, -1, -1)
-        factor = fit.factor if fit.rows else np.zeros((rows.shape[1], rows.shape[1]))
-        earlier = self._kept ** (places.size / 2) * factor
-        weighted = np.sqrt(weights)[:, None] * rows
-        return _Fit(
-            factor=np.asarray(np.linalg.qr(np.vstack([earlier, weighted]), mode="r")),
-            rows=fit.rows + places.size,
-            weight=self._kept**places.size * fit.weight + float(weights.sum()),
-            level=level,
-        )
-
-    def _coefficients(self, fit: _Fit) -> FloatArray:
-        """The coefficients of the order with the least AICc, shape (o, 1 + p·(o + m + d)).
-
-        Empty while there are too few samples.
-        """
-        o = len(self.visited)
-        sizes = 1 + fit.level.size * np.arange(1, MAX_ORDER + 1)
-        sizes = sizes[sizes * _MIN_ROWS <= fit.weight + 1e-9]
-        if not sizes.size:
-            return np.zeros((0, 0))
-        targets = fit.factor[:, -o:]
-        # Below its first n rows, the factor holds what n coefficients leave of the targets.
-        products = targets[:, :, None] * targets[:, None, :]
-        left_open = np.cumsum(products[::-1], axis=0)[::-1]
-        criteria = _aicc(left_open[sizes] / fit.weight, sizes, fit.weight)
-        size = int(sizes[np.argmin(criteria)])
-        columns = fit.factor[:size, :size]
-        scale = np.maximum(np.linalg.norm(columns, axis=0), _TINY)
-        scaled = np.linalg.lstsq(columns / scale, targets[:size], rcond=_RANK)[0]
-        return np.ascontiguousarray((scaled / scale[:, None]).T)
+            return fit
+        rows = _regression_rows(signals, places, fit.level, outputs=len(self.visited))
+        return fit.with_rows(rows, self._kept)
 
 
 def _aicc(
@@ -326,6 +338,19 @@ def _aicc(
         samples * np.log(spread)
         + 2.0 * estimated * samples / (samples - sizes - o - 1.0)
     )
+
+
+def _regression_rows(
+    signals: FloatArray, places: NDArray[np.int64], level: FloatArray, *, outputs: int
+) -> FloatArray:
+    """Rows [1, lags relative to the level, step of the outputs] of the samples at these places.
+
+    `signals` have one sample per row, the outputs first; each place has `MAX_ORDER` rows before it.
+    """
+    places_of_lags = places[:, None] - np.arange(1, MAX_ORDER + 1)
+    lags = (signals - level)[places_of_lags].reshape(places.size, -1)
+    steps = signals[places, :outputs] - signals[places - 1, :outputs]
+    return np.hstack([np.ones((places.size, 1)), lags, steps])
 
 
 def _with_whole_past(is_received: NDArray[np.bool_], first: int) -> NDArray[np.int64]:

@@ -9,6 +9,7 @@ much better they are than those of the baselines, which need no twin.
 
 from twinmatch.fitting.arx import Arx, ArxForecast
 from twinmatch.forecasting.arrival import Arrival, ArrivalQuestion, arrival
+from twinmatch.forecasting.calibration import Calibration, leads_of
 from twinmatch.forecasting.forecast import (
     CONFIDENCE,
     HORIZONS,
@@ -16,8 +17,8 @@ from twinmatch.forecasting.forecast import (
     Forecast,
     ForecastError,
 )
+from twinmatch.forecasting.ledger import Ledger
 from twinmatch.forecasting.outlook import Followers, Outlook, StateFilter
-from twinmatch.forecasting.scoring import Calibration, Ledger, leads_of
 from twinmatch.forecasting.set_points import SetPoints
 from twinmatch.forecasting.what_if import (
     MAX_SAMPLES,

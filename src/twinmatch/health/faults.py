@@ -262,6 +262,11 @@ class Health:
     signal: str = ""
     """What the fault concerns, as in `Alarm`."""
 
+    @property
+    def confirmed_fault(self) -> Fault | None:
+        """The fault of the plant; None when it is healthy, or a fault is only suspected."""
+        return self.fault if self.state is HealthState.FAULT else None
+
 
 HOUR: Final = 3600.0
 """How far an estimate is looked ahead, s."""

@@ -6,27 +6,30 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from twinmatch.comparing import ADMITTED, REFUSED, Candidate, Verdict
-from twinmatch.defects import Defect, defect_of, log_once
+from twinmatch.defects import Defect
 from twinmatch.dynamics.movement import InputEffect
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import Status
 from twinmatch.fitting.excitation import unexpected_movement, why_not_moved
 from twinmatch.fitting.match import not_determined
-from twinmatch.health import SLOW, Alarm, EstimatedReading, Health, HealthState, Monitor
+from twinmatch.health import SLOW, Alarm, EstimatedReading, Monitor
 from twinmatch.signals import FloatArray, Sample, Signals, Window
 from twinmatch.twin.candidates import CandidatePool, FamilyModels, name_at
+from twinmatch.twin.defect_reports import DefectReports
 from twinmatch.twin.door import Door
 from twinmatch.twin.forecaster import Forecaster, Snapshot
 from twinmatch.twin.knowledge import Knowledge, MatchResult, no_verdict, verdict_of
 from twinmatch.twin.law_on_estimates import LawOnEstimates
+from twinmatch.twin.law_trials import LawTrials
 from twinmatch.twin.matcher import MatchReport, MatchRequest, carry_out, one_thread
 from twinmatch.twin.mirror import Residuals, residuals
+from twinmatch.twin.plant_watch import PlantWatch
 from twinmatch.twin.schedule import Schedule, Trigger
 from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.structure_fits import watched
@@ -55,14 +58,24 @@ class Step(NamedTuple):
     """Of sensors that were not believed at these samples, what they should have read."""
 
 
-class _Recurring(NamedTuple):
-    """A defect that may be raised at every sample."""
+@dataclass
+class _StepSoFar:
+    """The results of one sample or match, while it is processed; see `Step`."""
 
-    place: str
-    reported: int
-    """Sample of the newest verdict that reported it."""
-    newest: int
-    """Newest sample at which it was raised."""
+    verdicts: list[Verdict]
+    snapshots: list[Snapshot] = field(default_factory=list)
+    settled: list[Sample] = field(default_factory=list)
+    estimates: list[EstimatedReading] = field(default_factory=list)
+
+    def ended_by(self, request: MatchRequest | None) -> Step:
+        """The results once nothing waits, or a match has to be requested."""
+        return Step(
+            tuple(self.verdicts),
+            request,
+            tuple(self.snapshots),
+            tuple(self.settled),
+            tuple(self.estimates),
+        )
 
 
 class Discriminator:
@@ -103,38 +116,19 @@ class Discriminator:
             model for model in watched(self.settings.plant) if model.is_external
         ]
         self._door = Door(self.settings)
-        self._steps_recurred = False
-        """Whether refused steps have recurred, and the fault of them has been taken back."""
         self._watched: int | None = None
         """The newest sample, once the plant's health has been judged at it."""
         self._settled: int | None = None
         self._recent: deque[Sample] = deque(maxlen=self.settings.schedule.stride)
-        self._health: Health | None = None
-        self._fault_before: Health | None = None
-        """The fault that was on when the monitor had to start over; it counts until another one is seen."""
-        self.defects: dict[str, Defect] = {}
-        """Defects of this program that prevented verdicts, by their places."""
+        self._watch = PlantWatch(self.settings)
+        self._defects = DefectReports(self.settings.schedule.stride)
         self._fits: Future[None] | None = None
         """The structures' fits to the window whose match is awaited, in a thread beside it."""
-        self._recurring: _Recurring | None = None
-        self._begin_health()
         self._begin_candidates()
         self._law_on_estimates = self._new_law_on_estimates()
         self._last_on_estimate: int | None = None
         """Newest sample at which the law took an estimate in place of a reading."""
-        self._trials: dict[int, float] = {}
-        """By the first sample at which a law on trial drove the last one; infinite while it drives."""
-
-    def _begin_door(self) -> None:
-        """Settle samples without knowing any before."""
-        self._door.restart()
-        self._steps_recurred = False
-
-    def _begin_health(self) -> None:
-        """Watch the plant's health without a past; a fault that is on stays on."""
-        if self._health is not None and self._health.state is HealthState.FAULT:
-            self._fault_before = self._health
-        self.monitor = _monitor(self.settings)
+        self._trials = LawTrials()
 
     def _begin_candidates(self) -> None:
         """Schedule and candidates as at the start."""
@@ -159,35 +153,21 @@ class Discriminator:
         self._trusted: tuple[float, ...] = ()
 
     def tell_of_trial(self, first: int, last: float = math.inf) -> None:
-        """Learn that a law on trial drove from sample `first` to `last`.
+        """Learn that a law on trial drove from sample `first` to `last`; infinite while it drives.
 
         Nothing is matched on these samples or learned from them, since forecasts are for the law before.
         """
-        self._trials[first] = last
+        self._trials.note(first, last)
 
-    def _trial_between(self, first: int, last: int) -> str:
-        """That a law on trial drove between two samples, in words; empty if none did."""
-        begins = [
-            begin
-            for begin, end in self._trials.items()
-            if begin <= last and end >= first
-        ]
-        return f"a law on trial has driven since sample {begins[-1]}" if begins else ""
+    @property
+    def monitor(self) -> Monitor | ChannelMonitor:
+        """The monitor that judges the plant's health."""
+        return self._watch.monitor
 
-    def _forecasts_of_trial(self, samples: int) -> str:
-        """Why the newest samples are not compared with what was forecast for them; empty if they are.
-
-        They are not where a law on trial drove when the forecasts were made, or has driven since.
-        """
-        newest = self._recent[-1].index
-        reach = samples + max(self.forecaster.horizons)
-        if not self._trial_between(newest - reach, newest):
-            return ""
-        ends = max(end for begin, end in self._trials.items() if begin <= newest)
-        if ends >= newest:
-            return "a law is on trial: its samples are not compared with forecasts for the law before"
-        over = f"a law on trial drove until sample {ends:.0f}"
-        return f"{over}: measurements are compared with forecasts again after sample {ends + reach:.0f}"
+    @property
+    def defects(self) -> dict[str, Defect]:
+        """Defects of this program that prevented verdicts, by their places."""
+        return self._defects.logged
 
     @property
     def forecaster(self) -> Forecaster:
@@ -248,46 +228,39 @@ class Discriminator:
 
     def _settle(self, verdicts: list[Verdict]) -> Step:
         """Process the queue until it is empty or a match is needed."""
-        snapshots: list[Snapshot] = []
-        settled: list[Sample] = []
-        estimates: list[EstimatedReading] = []
-        while (sample := self._next(verdicts)) is not None:
-            settled.append(sample)
+        step = _StepSoFar(verdicts)
+        while (sample := self._next(step.verdicts)) is not None:
+            step.settled.append(sample)
             self._settled = sample.index
             self.stamps[sample.index] = sample.stamp
             if len(self.stamps) > MAX_STAMPS:
                 del self.stamps[next(iter(self.stamps))]
-            outputs_taken = self._taken_by_law(sample)
-            self._watched = None
-            try:
-                self._watch(sample)
-            except Exception as error:
-                verdicts += self._start_over(error, sample.index, self._begin_health)
-            if self._watched is None:
-                continue
-            estimates += self.monitor.estimates
-            try:
-                verdicts += self._take(sample, outputs_taken)
-                if (
-                    self._snapshots
-                    and sample.usable
-                    and (sample.seen or sample.refused)
-                ):
-                    snapshots.append(self.forecaster.snapshot())
-                verdicts += self._scheduled(sample)
-            except Exception as error:
-                verdicts += self._start_over(
-                    error, sample.index, self._begin_candidates
-                )
+            self._process(sample, step)
             if self._request is not None:
                 break
-        return Step(
-            tuple(verdicts),
-            self._request,
-            tuple(snapshots),
-            tuple(settled),
-            tuple(estimates),
-        )
+        return step.ended_by(self._request)
+
+    def _process(self, sample: Sample, step: _StepSoFar) -> None:
+        """Judge the plant at a settled sample, and then what is due; a part that raises an error starts over."""
+        outputs_taken = self._taken_by_law(sample)
+        self._watched = None
+        try:
+            self._judge_plant(sample)
+        except Exception as error:
+            step.verdicts += self._start_over(
+                error, sample.index, self._watch.start_over
+            )
+            return
+        step.estimates += self.monitor.estimates
+        try:
+            step.verdicts += self._take(sample, outputs_taken)
+            if self._snapshots and sample.usable and (sample.seen or sample.refused):
+                step.snapshots.append(self.forecaster.snapshot())
+            step.verdicts += self._scheduled(sample)
+        except Exception as error:
+            step.verdicts += self._start_over(
+                error, sample.index, self._begin_candidates
+            )
 
     def _scheduled(self, sample: Sample) -> list[Verdict]:
         """The verdicts on the window that a sample completes, unless its match has to be requested first."""
@@ -308,7 +281,7 @@ class Discriminator:
         try:
             settled = self._door.next()
         except Exception as error:
-            verdicts += self._start_over(error, oldest.index, self._begin_door)
+            verdicts += self._start_over(error, oldest.index, self._door.restart)
         # a door passes every sample on, also one at which it had a defect
         return replace(oldest, usable=False) if settled is None else settled
 
@@ -321,42 +294,16 @@ class Discriminator:
         """
         window = self._window_at(sample)
         start_over()
-        defect = self._logged(error)
-        if not self._is_due(sample, defect):
+        defect = self._defects.log(error)
+        if not self._defects.is_due(defect, sample):
             return []
         return [self._no_verdict(sample, window, defect)]
-
-    def _logged(self, error: Exception) -> Defect:
-        """The defect behind an error, logged; an error that the user can fix is raised again."""
-        if isinstance(error, TwinmatchError):
-            raise error
-        defect = defect_of(error)
-        log_once("no verdict could be made", defect, self.defects)
-        return defect
 
     def _window_at(self, sample: int) -> tuple[int, int]:
         """First and last sample of the window that was due at a sample, or of the newest ones."""
         if self._due is not None and self._due.sample == sample:
             return self._due.window.first, self._due.window.last
         return (self._recent[0].index if self._recent else sample), sample
-
-    def _is_due(self, sample: int, defect: Defect) -> bool:
-        """Whether a verdict reports a defect at a sample.
-
-        One that is raised at every sample is reported as rarely as the schedule checks a quiet plant.
-        """
-        before = self._recurring
-        if before is None or (before.place, before.newest) != (
-            defect.place,
-            sample - 1,
-        ):
-            self._recurring = _Recurring(defect.place, reported=sample, newest=sample)
-            return True
-        is_due = sample - before.reported >= self.settings.schedule.stride
-        self._recurring = _Recurring(
-            defect.place, sample if is_due else before.reported, sample
-        )
-        return is_due
 
     def _no_verdict(
         self, sample: int, window: tuple[int, int], defect: Defect
@@ -367,7 +314,7 @@ class Discriminator:
             sample,
             window,
             defect,
-            health=self._health,
+            health=self._watch.health,
             horizons=horizons,
             decimals=self.settings.decimals,
         )
@@ -398,7 +345,7 @@ class Discriminator:
             return f"not matched: the law ran on an estimate until sample {self._last_on_estimate}"
         if lie := self.monitor.lie_between(first, last):
             return f"not matched: the readings of {lie.signal} were off from sample {lie.first} on"
-        if trial := self._trial_between(first, last):
+        if trial := self._trials.between(first, last):
             return f"not matched: {trial}"
         return ""
 
@@ -427,32 +374,41 @@ class Discriminator:
         `taken` are the outputs that the law took; None: those of the sample. Returns the verdict that is due
         if a fault has just begun or ended.
         """
-        verdicts: list[Verdict] = []
-        news = self._health.news if self._health is not None else None
-        has_begun = news is not None and news.last is None
-        gone = self._remove_spoilt(news) if news is not None and has_begun else ()
-        if news is not None and news.excuses:
-            self.forecaster.forget_since(news.first)
+        news = self._watch.news
+        dismissed = () if news is None else self._learn_of(news)
         if sample.usable:
             self.forecaster.push(sample, taken)
+        verdicts = []
         if news is not None:
-            reason = (
-                news.withdrawn
-                or f"{news.fault.value} is over: the plant responds normally again"
-            )
-            match = MatchResult(reason=news.reason if has_begun else reason)
-            window = Window.from_samples(
-                list(self._recent) or [sample], self.settings.period
-            )
-            with one_thread():
-                self._pool.score_leader()
-                verdicts.append(
-                    self._verdict_of(
-                        self._known(sample.index, window, match, dismissed=gone)
-                    )
-                )
+            verdicts.append(self._verdict_on(news, sample, dismissed))
         self.forecaster.notes = self._notes()
         return verdicts
+
+    def _learn_of(self, news: Alarm) -> tuple[str, ...]:
+        """Remove what an alarm that has begun or ended makes worthless; return the names of the candidates."""
+        dismissed = self._remove_spoilt(news) if news.last is None else ()
+        if news.excuses:
+            self.forecaster.forget_since(news.first)
+        return dismissed
+
+    def _verdict_on(
+        self, news: Alarm, sample: Sample, dismissed: tuple[str, ...]
+    ) -> Verdict:
+        """The verdict on an alarm that has begun or ended at a sample."""
+        if news.last is None:
+            reason = news.reason
+        elif news.withdrawn:
+            reason = news.withdrawn
+        else:
+            reason = f"{news.fault.value} is over: the plant responds normally again"
+        match = MatchResult(reason=reason)
+        window = Window.from_samples(
+            list(self._recent) or [sample], self.settings.period
+        )
+        with one_thread():
+            self._pool.score_leader()
+            known = self._known(sample.index, window, match, dismissed=dismissed)
+            return self._verdict_of(known)
 
     def _new_law_on_estimates(self) -> LawOnEstimates:
         return LawOnEstimates(self.settings.read_through, self.settings.period)
@@ -473,46 +429,20 @@ class Discriminator:
         self._last_on_estimate = sample.index
         return tuple(map(taken.get, self.settings.plant.outputs, sample.outputs))
 
-    def _watch(self, sample: Sample) -> None:
-        """Judge the plant's health at a sample; its `news` is an alarm that has just begun or ended."""
+    def _judge_plant(self, sample: Sample) -> None:
+        """Judge the plant's health at a sample."""
         if self._recent and not sample.follows(self._recent[-1]):
             is_other_session = not sample.continues(self._recent[-1])
             if is_other_session:
-                # to which the indices of alarms and trials do not belong
-                self.monitor = _monitor(self.settings)
+                self._watch.begin_session()
                 self._law_on_estimates = self._new_law_on_estimates()
                 self._last_on_estimate = None
-                self._trials = {}
-                self._fault_before = None
+                self._trials = LawTrials()
             self._recent.clear()
         if sample.usable:
             self._recent.append(sample)
-        nominal = self.nominal
-        if (
-            nominal is not None
-            and self.monitor.fault_between(*nominal.samples, slow=True) is not None
-        ):
-            nominal = None  # it describes a plant at fault
-        self._withdraw_recurring_steps()
-        health = self.monitor.push(sample, nominal.parameters if nominal else None)
-        if health.state is HealthState.FAULT:
-            self._fault_before = None
-        self._health = (
-            health
-            if self._fault_before is None
-            else replace(self._fault_before, news=health.news)
-        )
+        self._watch.push(sample, self.nominal, steps_recur=self._door.steps_recur)
         self._watched = sample.index
-
-    def _withdraw_recurring_steps(self) -> None:
-        """Take back a fault of impossible readings once the door takes such steps for the plant's."""
-        if (
-            self._door.steps_recur
-            and not self._steps_recurred
-            and isinstance(self.monitor, Monitor)
-        ):
-            self._steps_recurred = True
-            self.monitor.withdraw()
 
     def _remove_spoilt(self, alarm: Alarm) -> tuple[str, ...]:
         """Remove the candidates that were matched while the fault was already on; return their names."""
@@ -530,45 +460,50 @@ class Discriminator:
             self._pool.structures.push(trigger.window, excited=trigger.excited)
 
     def _judge(self, trigger: Trigger, match: MatchResult) -> Verdict:
-        """The verdict on a window and on its match.
-
-        If the window cannot be scored, the scores of the verdict before stand.
-        """
+        """The verdict on a window and on its match."""
         window = trigger.window
         pool = self._pool
         with one_thread():
             if self._fits is not None:
                 self._fits.result()
                 self._fits = None
-            elif not self._at_fault(window.first, window.last):
+            elif not self._watch.is_at_fault(window.first, window.last):
                 self._fit(trigger)
             dismissed = pool.leave_memory()
             pool.enter()
-            was_matched = bool(match.word)
-            scored = was_matched and not pool.empty
-            if scored:
-                try:
-                    pool.score(window)
-                except TwinmatchError as error:
-                    scored = False
-                    match = MatchResult(
-                        match.word, f"nothing could be identified: {error}"
-                    )
-            if not scored:
-                pool.score_leader()
+            match, is_scored = self._score(window, match)
             knowledge = self._known(
-                trigger.sample, window, match, scored=scored, dismissed=dismissed
+                trigger.sample, window, match, scored=is_scored, dismissed=dismissed
             )
             verdict = self._verdict_of(knowledge)
             self._door.learn(verdict)
             return verdict
+
+    def _score(self, window: Window, match: MatchResult) -> tuple[MatchResult, bool]:
+        """Score all candidates on a window if its match was requested.
+
+        Returns the match, with the reason if nothing could be identified, and whether the window was scored;
+        otherwise the scores of the verdict before stand.
+        """
+        was_requested = bool(match.word)
+        if was_requested and not self._pool.empty:
+            try:
+                self._pool.score(window)
+            except TwinmatchError as error:
+                match = MatchResult(match.word, f"nothing could be identified: {error}")
+            else:
+                return match, True
+        self._pool.score_leader()
+        return match, False
 
     def _verdict_of(self, known: Knowledge) -> Verdict:
         """The verdict on what is known. If a defect prevents only this, no part has to start over."""
         try:
             verdict = verdict_of(known)
         except Exception as error:
-            return self._no_verdict(known.sample, known.window, self._logged(error))
+            return self._no_verdict(
+                known.sample, known.window, self._defects.log(error)
+            )
         self._trusted = verdict.trusted
         self._law_on_estimates.take(verdict)
         return verdict
@@ -593,11 +528,9 @@ class Discriminator:
             bands=self._check_bands(window),
             history=self._bands,
             residuals=self._residuals(window),
-            health=self._health,
+            health=self._watch.health,
             monitor=self.monitor,
-            trial=self._forecasts_of_trial(self._compared(window))
-            if self._recent
-            else "",
+            trial=self._why_not_compared(window),
             trusted=self._trusted,
             decimals=self.settings.decimals,
         )
@@ -606,13 +539,21 @@ class Discriminator:
         """How many of the newest samples are compared with the bands when a window is judged."""
         return min(self.settings.schedule.stride, len(window))
 
+    def _why_not_compared(self, window: Window) -> str:
+        """Why a law on trial keeps the newest samples from being compared; empty if none does."""
+        if not self._recent:
+            return ""
+        return self._trials.why_not_compared(
+            self._recent[-1].index,
+            self._compared(window),
+            max(self.forecaster.horizons),
+        )
+
     def _check_bands(self, window: Window) -> BandCheck:
         """How the newest samples lie in the bands that the leader forecast for them."""
-        if not self._recent:
+        if not self._recent or self._why_not_compared(window):
             return BandCheck()
         samples = self._compared(window)
-        if self._forecasts_of_trial(samples):
-            return BandCheck()
         check = self.forecaster.check_bands(samples)
         if check is None:
             return BandCheck()
@@ -624,12 +565,11 @@ class Discriminator:
         nominal = self.nominal
         if nominal is None:
             return Residuals(float("nan"), float("nan"))
-        alarms = [alarm for alarm in self.monitor.alarms if alarm.alters]
-        end_of_fault = alarms[-1].last if alarms else None
-        # before, residuals are not the twin's
-        after_fault = 0 if end_of_fault is None else end_of_fault + 1
+        # before the end of a fault, residuals are not the twin's
         first = max(
-            window.first, window.last - self.settings.schedule.stride + 1, after_fault
+            window.first,
+            window.last - self.settings.schedule.stride + 1,
+            self._watch.first_after_fault,
         )
         newest = window.part(min(first, window.last), window.last)
         return residuals(nominal.parameters, newest, self.settings.law)
@@ -641,25 +581,21 @@ class Discriminator:
             for model in self._external
             if model.lost
         )
-        health = self._health
+        reservation = self._reservation()
+        return (reservation, *lost) if reservation else lost
+
+    def _reservation(self) -> str:
+        """Why forecasts from this sample may not hold: the gravest reason; empty without one."""
+        settled = self._settled
+        if settled is not None and (trial := self._trials.between(settled, settled)):
+            return f"{trial}: this forecast is for the law before"
+        if fault := self._watch.fault_in_words:
+            return f"{fault}: this forecast is for a healthy plant"
         since = self._bands.since
-        if self._settled is not None and (
-            trial := self._trial_between(self._settled, self._settled)
-        ):
-            return (f"{trial}: this forecast is for the law before", *lost)
-        if (
-            health is not None
-            and health.state is HealthState.FAULT
-            and health.fault is not None
-        ):
-            fault = (
-                f"the plant has shown {health.fault.value} since sample {health.since}"
-            )
-            return (f"{fault}: this forecast is for a healthy plant", *lost)
         if since is not None:
             outside = f"readings have been outside the bands since sample {since}"
-            return (f"{outside}: these bands may not hold", *lost)
-        return lost
+            return f"{outside}: these bands may not hold"
+        return ""
 
     def spoilt(self, first: int, last: int) -> bool:
         """Whether forecasts between two samples count neither for nor against a twin.
@@ -668,16 +604,9 @@ class Discriminator:
         was repaired in between, as far as that is known now.
         """
         return (
-            self._at_fault(first, last)
+            self._watch.is_at_fault(first, last)
             or self.monitor.excuses_between(first, last)
-            or bool(self._trial_between(first, last))
-        )
-
-    def _at_fault(self, first: int, last: int) -> bool:
-        """Whether the plant was at fault between two samples, or a sensor lied, as far as that is known now."""
-        return (
-            self.monitor.fault_between(first, last) is not None
-            or self.monitor.lie_between(first, last) is not None
+            or bool(self._trials.between(first, last))
         )
 
     def _admit(self, trigger: Trigger, report: MatchReport) -> MatchResult:
@@ -743,16 +672,6 @@ class Twin:
         settled = step.settled + after.settled
         estimates = step.estimates + after.estimates
         return Outcome(report, step.verdicts + after.verdicts, settled, estimates)
-
-
-def _monitor(settings: TwinSettings) -> Monitor | ChannelMonitor:
-    """Watches a plant with one loop as a whole, any other channel by channel."""
-    health = replace(settings.health, period=settings.period)
-    if settings.plant.single:
-        return Monitor(health)
-    from twinmatch.health.channels import ChannelMonitor  # noqa: PLC0415
-
-    return ChannelMonitor(health.followed, health.period)
 
 
 def _schedule(settings: TwinSettings) -> Schedule:

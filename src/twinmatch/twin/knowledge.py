@@ -21,7 +21,7 @@ from twinmatch.comparing import (
 )
 from twinmatch.defects import Defect
 from twinmatch.dynamics import Parameters
-from twinmatch.health import SLOW, Fault, Health, HealthState
+from twinmatch.health import SLOW, Fault, Health
 from twinmatch.twin.candidates import UNSCORED, CandidatePool
 from twinmatch.twin.mirror import Residuals
 from twinmatch.twin.trust import BandCheck, BandHistory
@@ -92,11 +92,7 @@ class Knowledge:
     @property
     def fault(self) -> Fault | None:
         """The fault of the plant, if there is one."""
-        return (
-            self.health.fault
-            if self.health and self.health.state is HealthState.FAULT
-            else None
-        )
+        return self.health.confirmed_fault if self.health else None
 
     @property
     def horizons(self) -> tuple[float, ...]:
@@ -229,10 +225,12 @@ class NamedFault(TypedDict):
 
 
 def _named_fault(health: Health | None) -> NamedFault:
-    if health is None or health.state is not HealthState.FAULT or health.fault is None:
+    if health is None or health.confirmed_fault is None:
         return NamedFault(fault="", fault_signal="", fault_since=None)
     return NamedFault(
-        fault=health.fault.value, fault_signal=health.signal, fault_since=health.since
+        fault=health.confirmed_fault.value,
+        fault_signal=health.signal,
+        fault_since=health.since,
     )
 
 
