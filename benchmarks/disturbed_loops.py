@@ -34,7 +34,8 @@ from benchmarks.unseen_kits import (
     in_words,
 )
 from twinmatch.dynamics import LinearLaw
-from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
+from twinmatch.health.channel_alarms import ChannelAlarm
+from twinmatch.health.channels import ChannelMonitor
 from twinmatch.health.faults import Fault
 from twinmatch.plants.tclab import RESOLUTION
 from twinmatch.signals import FloatArray, Sample

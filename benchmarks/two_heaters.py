@@ -23,7 +23,8 @@ from benchmarks.bank.kits import typical
 from twinmatch.control import Loop
 from twinmatch.dynamics import Law, LinearLaw, linearised
 from twinmatch.dynamics.loop import Controller
-from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
+from twinmatch.health.channel_alarms import ChannelAlarm
+from twinmatch.health.channels import ChannelMonitor
 from twinmatch.plants import TCLabBoth
 from twinmatch.signals import Sample
 

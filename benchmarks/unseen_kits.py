@@ -24,7 +24,8 @@ from benchmarks.bank.kits import typical
 from benchmarks.two_heaters import by_law, by_pids, linear_law
 from twinmatch.dynamics import advance, begin
 from twinmatch.dynamics.simulation import readings
-from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
+from twinmatch.health.channel_alarms import ChannelAlarm
+from twinmatch.health.channels import ChannelMonitor
 from twinmatch.health.faults import Fault
 from twinmatch.plants.tclab import RESOLUTION
 from twinmatch.signals import KELVIN, FloatArray, Sample

@@ -16,7 +16,8 @@ import time
 import numpy as np
 
 from benchmarks.bank.kits import BEGINS, ENDS, MISHAPS, SIZE, run, typical
-from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
+from twinmatch.health.channel_alarms import ChannelAlarm
+from twinmatch.health.channels import ChannelMonitor
 from twinmatch.health.faults import Fault
 
 

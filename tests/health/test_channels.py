@@ -19,7 +19,8 @@ from tests.support.recorded_kits import kit_rows
 from tests.support.watched import copied
 from twinmatch.dynamics.bank import BankMembers, Reading, spawn, step, unborn
 from twinmatch.health import Fault
-from twinmatch.health.channels import CHANGE, ChannelAlarm, ChannelMonitor
+from twinmatch.health.channel_alarms import ChannelAlarm
+from twinmatch.health.channels import CHANGE, ChannelMonitor
 from twinmatch.health.evidence import Competition, Suspect
 from twinmatch.health.faults import EVERY, EstimatedReading
 from twinmatch.health.hypotheses import ChangeRow

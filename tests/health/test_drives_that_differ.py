@@ -13,7 +13,8 @@ from benchmarks import disturbed_loops, two_heaters
 from benchmarks.bank.kits import typical
 from tests.support.recorded_kits import kit_rows
 from twinmatch.health import Fault
-from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
+from twinmatch.health.channel_alarms import ChannelAlarm
+from twinmatch.health.channels import ChannelMonitor
 from twinmatch.health.evidence import Competition, Suspect
 from twinmatch.health.hypotheses import CROSSES, ChangeRow
 from twinmatch.signals import NANOSECONDS, Sample

@@ -11,7 +11,8 @@ from tests.support.public_kit import public_kit
 from twinmatch.control import Controller
 from twinmatch.dynamics import law_of
 from twinmatch.emulation.faults import FaultSchedule, parse_faults
-from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
+from twinmatch.health.channel_alarms import ChannelAlarm
+from twinmatch.health.channels import ChannelMonitor
 from twinmatch.health.faults import Fault
 from twinmatch.health.runaway import RUNNING, NewestMovement, WayBack, runs_away
 from twinmatch.plants import TCLabBoth

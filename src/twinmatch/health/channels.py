@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from twinmatch.dynamics import Parameters
-from twinmatch.health.evidence import Competition, ExpectedEnd, Suspect
+from twinmatch.health.channel_alarms import ChannelAlarm, ChannelAlarms
+from twinmatch.health.evidence import Competition, Suspect
 from twinmatch.health.faults import (
     EVERY,
-    HOUR,
     SLOW,
     TRAITS,
     Alarm,
@@ -23,14 +22,20 @@ from twinmatch.health.faults import (
     HealthState,
     Lie,
     Subject,
-    touching,
 )
-from twinmatch.health.hypotheses import LESS, MORE, ChangeRow
-from twinmatch.health.reading_through import ReadThrough
-from twinmatch.health.runaway import RUNNING, WayBack
+from twinmatch.health.hypotheses import MORE, ChangeRow
+from twinmatch.health.runaway import RUNNING
 from twinmatch.health.sentences import FaultSentences
+from twinmatch.health.standing import (
+    OF_A_DRIVE,
+    UNDOING,
+    NamedChange,
+    StandingChanges,
+    is_of_sensor,
+)
+from twinmatch.health.unbelieved import UnbelievedSensors
 from twinmatch.settings import Rule
-from twinmatch.signals import FloatArray, Sample
+from twinmatch.signals import Sample
 
 CHANGE: Final = 3.0
 """Evidence from which a change is reported, nats."""
@@ -68,7 +73,6 @@ class _Naming(Rule):
 _NAMING: Final = _Naming()
 
 
-_OF_A_DRIVE: Final = (Fault.DRIVE_LOST, Fault.DRIVE_WEAK)
 _OF_THE_PLANT: Final = frozenset(
     f for f, traits in TRAITS.items() if traits.another_plant
 )
@@ -77,79 +81,28 @@ _LEARNED_FIRST: Final = _OF_THE_PLANT | {Fault.DRIFT, Fault.DISTURBANCE}
 """Faults that may be parameters that are not known yet: a push that fades looks like one as well."""
 
 
-class _Ending(Rule):
-    """When a change counts as over."""
+class _Passing(Rule):
+    """When something that passes has passed."""
 
-    passed: float = 15.0
+    shown: float = 15.0
     """Time for which a push that has passed is shown, s."""
-    remainder: float = 0.4
-    """Share of a change that may remain when it counts as over."""
-    settles: float = 600.0
-    """Time after the end of a change in which what remains of it may still show, s."""
-    learned: float = 60.0
-    """Time for which the plant is believed to be as before, without an end that was seen, until the change is
-    over, s."""
     faded: float = 0.3
     """Share of a push from which on it has passed."""
 
 
-_ENDING: Final = _Ending()
+_PASSING: Final = _Passing()
 
 
 _BY_ITSELF: Final = (Fault.SENSOR_FROZEN, Fault.SENSOR_IMPLAUSIBLE)
 """Faults that a sensor's own readings show."""
-_WIDE: Final = 10.0
-"""Width of a band up to which an estimate is good, ± so many standard deviations of the sensor's noise."""
-_KEPT: Final = 1000
-"""Number of alarms kept."""
 _LOST_FROM: Final = -0.8
 """Change of a drive's share, from 1, from which on the drive is lost: a fifth of its effect is left."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChannelAlarm(Alarm):
-    """One fault of one signal, from its beginning to its end; the signal of a `DRIFT` is the likeliest."""
-
-    size: float
-    """Of a drive's effect what is left, as a share; losses as a factor; of readings and room the change, in
-    their unit; NaN for the others."""
-    rivals: tuple[str, ...]
-    """What the samples did not tell apart from it, in words; empty for a named fault."""
-    suspects: tuple[Suspect, ...]
-    """What competed when it was reported, the best first."""
-
-
-@dataclass(eq=False)
-class _NamedChange:
-    """A change that was named, and that the plant is known by since."""
-
-    fault: Fault
-    row: ChangeRow
-    before: FloatArray
-    """What was believed of the plant before it."""
-    shift: float
-    """Its size when it was named, in the unit of its row."""
-    samples_as_before: int = 0
-    """For how many samples the plant has been believed to be as before it."""
-
-
-class _Return(NamedTuple):
-    """A number of the plant that is again as it was before a change."""
-
-    at: int
-    """Sample at which that was said."""
-    size: float
-    """The largest size that the change was known to have, without its sign."""
-
-
-def _is_of_sensor(row: ChangeRow) -> bool:
-    return row.cause[0] is Fault.SENSOR_DRIFT
 
 
 def _end_plant(*suspects: Suspect) -> bool:
     """Whether all of them say that the plant is again as it was before a change."""
     return all(
-        suspect.row.is_end and not _is_of_sensor(suspect.row) for suspect in suspects
+        suspect.row.is_end and not is_of_sensor(suspect.row) for suspect in suspects
     )
 
 
@@ -159,7 +112,7 @@ class ChannelMonitor:
     def __init__(self, parameters: Parameters, period: float) -> None:
         """Begin with typical parameters and the sample time, s."""
         self.competition = Competition(parameters, period)
-        self._alarms: deque[ChannelAlarm] = deque(maxlen=_KEPT)
+        self._said = ChannelAlarms()
         # as of a `Monitor`: here names say what is known
         self.reservation = self.doubt = ""
         self.estimates: tuple[EstimatedReading, ...] = ()
@@ -169,19 +122,10 @@ class ChannelMonitor:
         self.sentences = FaultSentences(parameters.model, period)
         self._impossible = np.zeros(len(parameters.model.plant.outputs), dtype=np.int64)
         """Readings in a row of each output that its sensor cannot give."""
-        self._standing: list[_NamedChange] = []
-        """Named changes that have not been undone."""
-        self._returned: dict[str, _Return] = {}
-        """When numbers of the plant were last said to be as before."""
-        self._lies_of_output: dict[int, Lie] = {}
-        """Of the outputs whose sensors lie now."""
-        self._ways_back: dict[int, WayBack] = {}
-        """Of the outputs whose readings have run away."""
-        self._believed: dict[int, FloatArray] = {}
-        """What was believed before the readings of an output were left out, shape (N,)."""
-        self._past_lies: deque[Lie] = deque(maxlen=_KEPT)
-        self._outputs = list(parameters.model.plant.outputs.items())
-        self._spans = np.array([output.span for _, output in self._outputs])
+        self._standing = StandingChanges(self.competition)
+        self._unbelieved = UnbelievedSensors(self.competition, parameters.model.plant)
+        outputs = parameters.model.plant.outputs.values()
+        self._spans = np.array([output.span for output in outputs])
         self._values = self._spans.mean(axis=1)
         self._begin = self._index = -2
         self._lie_ended = -math.inf
@@ -192,44 +136,36 @@ class ChannelMonitor:
     @property
     def alarms(self) -> tuple[ChannelAlarm, ...]:
         """The newest alarms, oldest first, as many as are kept; only the last can still be on."""
-        return tuple(self._alarms)
+        return self._said.kept
 
     @property
     def on(self) -> ChannelAlarm | None:
         """The alarm that is on."""
-        return (
-            self._alarms[-1] if self._alarms and self._alarms[-1].last is None else None
-        )
+        return self._said.on
 
     def fault_between(
         self, first: int, last: int, *, slow: bool = False
     ) -> Alarm | None:
         """The first alarm that touches these samples; see `touching`."""
-        return touching(self._alarms, first, last, slow=slow)
+        return self._said.fault_between(first, last, slow=slow)
 
     def excuses_between(self, first: int, last: int) -> bool:
         """Whether the plant is known to have been another between two samples, or to have become another."""
-        return any(alarm.excuses_between(first, last) for alarm in self._alarms)
+        return self._said.excuses_between(first, last)
 
     def lie_between(self, first: int, last: int) -> Lie | None:
         """The lie of a sensor that is known between two samples, both included; None without one.
 
         An alarm ends when another begins, a lie does not.
         """
-        lies = [*self._past_lies, *self._lies_of_output.values()]
-        return next((lie for lie in lies if lie.overlaps(first, last)), None)
+        return self._unbelieved.lie_between(first, last)
 
     def push(self, sample: Sample, _: Parameters | None = None) -> Health:
         """Take one sample; judge the plant as it is now, without asking any twin."""
-        before = self._alarms[-1] if self._alarms else None
+        before = self._said.newest
         self._push(sample)
-        through = {} if self._blind else self.competition.through
-        self.estimates = tuple(
-            self._estimate(i, estimator, sample)
-            for i, estimator in through.items()
-            if estimator.samples > estimator.rehearsed
-        )
-        newest = self._alarms[-1] if self._alarms else None
+        self.estimates = self._unbelieved.estimates(sample)
+        newest = self._said.newest
         on = self.on
         news = newest if newest is not before else None
         nan = math.nan
@@ -249,32 +185,6 @@ class ChannelMonitor:
             on.signal,
         )
 
-    @property
-    def _blind(self) -> bool:
-        """Whether no sensor is left by which another could be read through."""
-        return len(self.competition.through) == len(self._outputs)
-
-    def _read_through(self, output: int, since: int) -> None:
-        self.competition.read_through(output, since)
-        if self._blind:
-            reason = f"{self._alarms[-1].reason}; no sensor is right, so none can be read through"
-            self._alarms[-1] = replace(self._alarms[-1], reason=reason)
-
-    def _estimate(
-        self, output: int, estimator: ReadThrough, sample: Sample
-    ) -> EstimatedReading:
-        name, declared = self._outputs[output]
-        wide = _WIDE * declared.noise
-        if estimator.good is None:
-            period = self.competition.healthy.period
-            estimator.good = period * estimator.lasts(wide, round(HOUR / period))
-        value, band = estimator.estimate
-        reading = (sample.refused or sample.outputs)[output]
-        since = sample.index - (estimator.samples - estimator.rehearsed) + 1
-        return EstimatedReading(
-            sample.index, name, value, band, reading, since, wide, estimator.good
-        )
-
     def _push(self, sample: Sample) -> None:
         if sample.index != self._index + 1:
             self._begin = sample.index
@@ -292,7 +202,7 @@ class ChannelMonitor:
         self.competition.push(sample, self._values, counts)
         self._impossible = np.where(possible, 0, self._impossible + 1)
         for output in np.flatnonzero(self._impossible == _NAMING.confirm).tolist():
-            if output in self._ways_back:
+            if self._unbelieved.has_run_away(output):
                 continue  # it is known to lie
             row = ChangeRow((Fault.SENSOR_IMPLAUSIBLE, output), "")
             best = Suspect(
@@ -306,7 +216,7 @@ class ChannelMonitor:
             )
             self._raise(Fault.SENSOR_IMPLAUSIBLE, best, [best])
             # no filter has taken such readings: the newest is best
-            self._read_through(output, 0)
+            self._unbelieved.read_through(output, 0)
         self._judge_jumps(self.competition.jumped(_NAMING.confirm - 1))
         for output in self.competition.run_away(_NAMING.confirm):
             self._name_run_away(output)
@@ -315,79 +225,45 @@ class ChannelMonitor:
         self.suspects = [suspect for suspect in suspects if self._counts(suspect)]
         self._judge(self.suspects)
         self._end_what_was_learned_back()
-        for output in [*self.competition.through]:
-            if not self._lies(output):
-                del self.competition.through[output]
-        for output in [*self.competition.untaken]:
-            if not self._lies(output):
-                self._take_again(output)
-        for output in range(len(self._outputs)):
-            self._follow_lie(output)
+        self._believe_sensors_that_are_right()
+
+    def _believe_sensors_that_are_right(self) -> None:
+        """Take readings again that were left out, of sensors that no longer lie."""
+        lying = np.array([self._lies(output) for output in range(self._spans.shape[0])])
+        newest = self._said.newest
+        since = self._index if newest is None else newest.first
+        if self._unbelieved.settle(lying, since, self._index):
+            self._lie_ended = self._index
+            self._begin = self._index + 1
+            self._wait_anew()
 
     def _name_run_away(self, output: int) -> None:
         """Name a sensor whose reading has moved farther than its plant can."""
         competition = self.competition
         lasted = round(RUNNING.lasts * competition.second)
         born = max(competition.count - lasted, 0)
-        self._ways_back[output] = WayBack(competition.second)
         moved = float(competition.moved[output])
         row = self._row_of_jump(output)
         best = Suspect(row.cause, math.inf, row, moved, 0.0, born, -1)
-        self._raise(Fault.SENSOR_DRIFT, best, [best])
-        reason = self.sentences.ran_away(output, moved)
-        self._alarms[-1] = replace(self._alarms[-1], reason=reason)
-        self._leave_out(output, born)
+        self._raise(
+            Fault.SENSOR_DRIFT,
+            best,
+            [best],
+            reason=self.sentences.ran_away(output, moved),
+        )
+        self._unbelieved.leave_out_run_away(output, born)
+        self._wait_anew()
 
-    def _leave_out(self, output: int, since: int) -> None:
-        """Read through a sensor whose readings say nothing of the plant."""
-        self._read_through(output, since)
-        self._believed[output] = self.competition.believed_before(since)
-        self.competition.leave_out(output)
+    def _wait_anew(self) -> None:
+        """Have every cause lead, or wait for a name, from now on."""
         self._leads = (None, 0)
         self._unnamed = 0
 
     def _end_run_away(self) -> None:
         """End the alarms of readings that had run away, and are back."""
-        competition = self.competition
-        for output, way_back in [*self._ways_back.items()]:
-            if output not in competition.through:  # after a gap
-                self._ways_back[output] = WayBack(competition.second)
-                competition.read_through(output, 0)
-                continue
-            expected, band = competition.through[output].estimate
-            _, declared = self._outputs[output]
-            tolerance = max(RUNNING.bands * band, RUNNING.noises * declared.noise)
-            if way_back.take(float(self._values[output]) - expected, tolerance):
-                del self._ways_back[output]
-                if self._is_on(Fault.SENSOR_DRIFT, output):
-                    self._close()
-
-    def _is_on(self, fault: Fault, place: int) -> bool:
-        """Whether the alarm that is on is of this fault of this parameter, drive or output; that of several readings
-        that have jumped is of none."""
-        on = self.on
-        if on is None or not on.suspects:
-            return False
-        return (on.fault, on.suspects[0].cause[1]) == (fault, place)
-
-    def _take_again(self, output: int) -> None:
-        """Take the readings of a sensor again that is right again, as after a gap."""
-        self.competition.take_again(output, self._believed.pop(output))
-        self._lie_ended = self._index
-        self._begin = self._index + 1
-        self._leads = (None, 0)
-        self._unnamed = 0
-
-    def _follow_lie(self, output: int) -> None:
-        """Note that the sensor of an output begins to lie, or ends."""
-        lie = self._lies_of_output.get(output)
-        if self._lies(output) and lie is None:
-            since = self._alarms[-1].first
-            name, _ = self._outputs[output]
-            self._lies_of_output[output] = Lie(name, since, None)
-        elif not self._lies(output) and lie is not None:
-            self._past_lies.append(lie._replace(last=self._index))
-            del self._lies_of_output[output]
+        for output in self._unbelieved.back(self._values):
+            if self._said.is_on(Fault.SENSOR_DRIFT, output):
+                self._said.end(self._index)
 
     def _judge_jumps(self, outputs: list[int]) -> None:
         """Report readings that have jumped at once, or that such a jump is over.
@@ -405,29 +281,25 @@ class ChannelMonitor:
         }
         rows = {output: self._row_of_jump(output) for output in outputs}
         before = self.competition.believed_before(self.competition.count)
-        returned = [named for named in self._jumped if self._is_back(named, jumps)]
-        self.competition.adopt_jumps(outputs)
-        for named in returned:
-            self._standing.remove(named)
-        if returned:
-            if (
-                self.on is not None
-                and self.on.fault is Fault.DRIFT
-                and not self._jumped
-            ):
-                self._close()
-            return
-        self._standing += [
-            _NamedChange(Fault.DRIFT, rows[output], before, jumps[output])
-            for output in outputs
+        returned = [
+            named
+            for named in self._standing.jumped
+            if self._standing.has_come_back(named, jumps.get(named.row.cause[1], 0.0))
         ]
+        self.competition.adopt_jumps(outputs)
+        self._standing.remove(returned, self._index)
+        if returned:
+            on = self.on
+            is_jump_on = on is not None and on.fault is Fault.DRIFT
+            if is_jump_on and not self._standing.jumped:
+                self._said.end(self._index)
+            return
+        self._standing.note(
+            NamedChange(Fault.DRIFT, rows[output], before, jumps[output])
+            for output in outputs
+        )
         self._raise_jumps(outputs)
-        self._expect_back()
-
-    @property
-    def _jumped(self) -> list[_NamedChange]:
-        """Readings that have jumped together with others, and have not come back."""
-        return [named for named in self._standing if named.fault is Fault.DRIFT]
+        self._standing.expect_back()
 
     def _row_of_jump(self, output: int) -> ChangeRow:
         cause = (Fault.SENSOR_DRIFT, output)
@@ -437,14 +309,7 @@ class ChannelMonitor:
             if row.cause == cause and not row.slowly
         )
 
-    def _is_back(self, named: _NamedChange, jumps: dict[int, float]) -> bool:
-        jump = jumps.get(named.row.cause[1], 0.0)
-        shift = self.competition.change_since(named.row, named.before)
-        return abs(shift + jump) <= _ENDING.remainder * abs(shift)
-
     def _raise_jumps(self, outputs: list[int]) -> None:
-        if self.on is not None:
-            self._close()
         signal, reason = self.sentences.jumped(outputs)
         first = self._index - _NAMING.confirm + 1
         alarm = ChannelAlarm(
@@ -459,21 +324,19 @@ class ChannelMonitor:
             rivals=(),
             suspects=(),
         )
-        self._alarms.append(alarm)
+        self._said.begin(alarm)
 
     def _lies(self, output: int) -> bool:
         """Whether the sensor of an output is known to be off, or frozen or without sense now."""
         on = self.on
-        if output in self._ways_back:
+        if self._unbelieved.has_run_away(output):
             return True
         by_alarm = (
             on is not None
             and on.fault in _BY_ITSELF
             and on.suspects[0].cause[1] == output
         )
-        return by_alarm or any(
-            named.row.cause == (Fault.SENSOR_DRIFT, output) for named in self._standing
-        )
+        return by_alarm or self._standing.is_off(output)
 
     def _lost_and_weak(self, suspects: list[Suspect]) -> list[Suspect]:
         """The suspects, with drives called lost or weak by what is left of their effect, the best first.
@@ -493,7 +356,7 @@ class ChannelMonitor:
         """The suspect; a drive is lost if certainly nearly nothing is left of its effect, and weak if more may
         be, whatever it was followed as."""
         fault, drive = suspect.cause
-        if fault not in _OF_A_DRIVE or suspect.row.is_end:
+        if fault not in OF_A_DRIVE or suspect.row.is_end:
             return suspect
         share = suspect.shift + self.competition.believed(suspect.row.number)
         is_lost = share + _NAMING.certain * suspect.error <= _LOST_FROM
@@ -516,7 +379,7 @@ class ChannelMonitor:
             return True
         return (
             self._is_material(suspect)
-            and self.competition.remains(suspect) < _ENDING.faded
+            and self.competition.remains(suspect) < _PASSING.faded
         )
 
     def _judge(self, suspects: list[Suspect]) -> None:
@@ -525,14 +388,13 @@ class ChannelMonitor:
         competition = self.competition
         on = self.on
         if on is not None and self._over(on, suspects):
-            self._close()
+            self._said.end(self._index)
         if (
             not suspects
             or suspects[0].evidence < CHANGE
             or competition.count < _NAMING.start * competition.second
         ):
-            self._leads = (None, 0)
-            self._unnamed = 0
+            self._wait_anew()
             return
         named = [suspect for suspect in suspects if suspect.cause[0] is not Fault.DRIFT]
         if named and named[0].evidence > suspects[0].evidence - LEAD:
@@ -568,9 +430,9 @@ class ChannelMonitor:
             return
         self._unnamed += 1
         if self._is_unnamed_for_good(best):
-            self._note_change(best.cause[0], best)
+            self._standing.note_suspect(best.cause[0], best)
             self._adopt(best)
-            self._close()
+            self._said.end(self._index)
             return
         enough = best.evidence >= 2.0 * CHANGE
         has_waited = self._unnamed > _NAMING.unnamed * self.competition.second
@@ -594,8 +456,8 @@ class ChannelMonitor:
         if on.fault is Fault.SENSOR_IMPLAUSIBLE:
             return not self._impossible[on.suspects[0].cause[1]]
         if on.fault is Fault.DISTURBANCE:
-            return self._index - on.flagged > _ENDING.passed * self.competition.second
-        if self._jumped:
+            return self._index - on.flagged > _PASSING.shown * self.competition.second
+        if self._standing.jumped:
             return False
         return on.fault is Fault.DRIFT and (not suspects or suspects[0].evidence < 0.0)
 
@@ -607,7 +469,7 @@ class ChannelMonitor:
         """
         if self._lacks_proof(best):
             return False
-        undone = self._undone_by(best)
+        undone = self._standing.undone_by(best)
         if undone:
             self._end(undone)
             self._adopt(best)
@@ -632,7 +494,7 @@ class ChannelMonitor:
         is_new = not best.row.is_end
         if is_new and fault is Fault.DRIVE_WEAK and self._is_open(best):
             return True
-        if fault in _OF_A_DRIVE and not self.competition.was_asked(best):
+        if fault in OF_A_DRIVE and not self.competition.was_asked(best):
             return True
         if self._gives_back(best) and self._seems_back(best):
             return True
@@ -645,7 +507,7 @@ class ChannelMonitor:
     @staticmethod
     def _gives_back(best: Suspect) -> bool:
         """Whether it says that a drive does as much again as before, which heat from another one looks like."""
-        is_of_a_drive = best.cause[0] in _OF_A_DRIVE and best.cause[1] != EVERY
+        is_of_a_drive = best.cause[0] in OF_A_DRIVE and best.cause[1] != EVERY
         return best.row.is_end and is_of_a_drive and best.shift > 0.0
 
     def _seems_back(self, best: Suspect) -> bool:
@@ -663,14 +525,14 @@ class ChannelMonitor:
         """Whether another sensor than the one it concerns is known to lie."""
         fault, place = suspect.cause
         concerned = place if TRAITS[fault].subject is Subject.OUTPUT else None
-        outputs = range(len(self._outputs))
+        outputs = range(self._spans.shape[0])
         return any(self._lies(output) for output in outputs if output != concerned)
 
     @property
     def _is_behind_a_lie(self) -> bool:
         """Whether the readings of a sensor have been taken again for so short a time that states which nobody saw
         meanwhile may still show."""
-        settles = _ENDING.settles * self.competition.second
+        settles = UNDOING.settles * self.competition.second
         return self._index - self._lie_ended < settles
 
     def _age(self, suspect: Suspect) -> float:
@@ -703,7 +565,8 @@ class ChannelMonitor:
 
         A drive that does more has to do more than what may cross from the others, as far as they have moved.
         """
-        remains = self._may_remain(suspect)
+        onset = self._begin + suspect.born
+        remains = self._standing.may_remain(suspect.row.number, onset)
         least = max(suspect.row.least, remains)
         if not self._does_more(suspect):
             return least
@@ -711,16 +574,6 @@ class ChannelMonitor:
             return max(least, MORE)
         crosses = self.competition.most_that_crosses(suspect)
         return max(least, min(crosses, MORE))
-
-    def _may_remain(self, suspect: Suspect) -> float:
-        """How much of a change that was over shortly before a suspect began may be left, in the unit of the same
-        number; 0 if there was none."""
-        returned = self._returned.get(suspect.row.number)
-        onset = self._begin + suspect.born
-        lately = _ENDING.settles * self.competition.second
-        if returned is None or onset - returned.at >= lately:
-            return 0.0
-        return _ENDING.remainder * returned.size
 
     @staticmethod
     def _does_more(suspect: Suspect) -> bool:
@@ -766,85 +619,19 @@ class ChannelMonitor:
         )
         return may_be_lost or not is_same
 
-    def _undone_by(self, suspect: Suspect) -> list[_NamedChange]:
-        """The named changes that a suspect undoes: one whose number it brings nearly back to what it was before,
-        and those that the plant has had since, as all is then as it was before the first of them."""
-        for place, named in enumerate(self._standing):
-            if self._undoes(suspect, named):
-                if _is_of_sensor(named.row):
-                    return [named]
-                since = self._standing[place:]
-                return [later for later in since if not _is_of_sensor(later.row)]
-        return []
-
-    def _undoes(self, suspect: Suspect, named: _NamedChange) -> bool:
-        """Whether a suspect brings the number of a named change nearly back to what it was before."""
-        if (named.row.number, named.row.also) != (suspect.row.number, suspect.row.also):
-            return False
-        shift = self.competition.change_since(named.row, named.before)
-        may_remain = max(_ENDING.remainder * abs(shift), suspect.row.least)
-        if suspect.row.is_end:
-            left = self.competition.left_after(suspect, named.row, named.before)
-            is_gone = suspect.returned >= 1.0 - _ENDING.remainder
-            return is_gone and abs(left) <= may_remain
-        return abs(named.row.remaining(shift, suspect.shift)) <= may_remain
-
-    def _end(self, undone: list[_NamedChange]) -> None:
+    def _end(self, undone: list[NamedChange]) -> None:
         """Named changes no longer stand, and no alarm of them is on."""
-        self._standing = [
-            named
-            for named in self._standing
-            if not any(named is other for other in undone)
-        ]
-        for named in undone:
-            if not _is_of_sensor(named.row):
-                shift = self.competition.change_since(named.row, named.before)
-                size = max(abs(named.shift), abs(shift))
-                self._returned[named.row.number] = _Return(self._index, size)
+        self._standing.remove(undone, self._index)
         faults = {named.fault for named in undone}
         if self.on is not None and self.on.fault in faults:
-            self._close()
+            self._said.end(self._index)
 
     def _end_what_was_learned_back(self) -> None:
-        """End changes of drives that the filters have unlearned by themselves: an end that comes slowly, or beside
-        another one, need not be seen."""
-        enough = _ENDING.learned * self.competition.second
-        learned_back = []
-        for named in self._standing:
-            if named.fault not in _OF_A_DRIVE:
-                continue
-            named.samples_as_before += 1
-            if not self._has_share_of_before(named):
-                named.samples_as_before = 0
-            elif named.samples_as_before > enough:
-                named.samples_as_before = 0
-                if self._acts_as_before(named):
-                    learned_back.append(named)
+        """End changes of drives that the filters have unlearned by themselves."""
+        learned_back = self._standing.learned_back()
         if learned_back:
             self._end(learned_back)
-            self._expect_back()
-
-    def _has_share_of_before(self, named: _NamedChange) -> bool:
-        """Whether the share that is believed to arrive of a drive is nearly that of before its change."""
-        left = self.competition.change_since(named.row, named.before)
-        return abs(left) <= self._may_be_left(named)
-
-    def _acts_as_before(self, named: _NamedChange) -> bool:
-        """Whether the drives of a change do nearly what they did before."""
-        drive = named.row.cause[1]
-        drives = range(self.competition.drives) if drive == EVERY else (drive,)
-        changes = (self.competition.effect_since(j, named.before) for j in drives)
-        return all(abs(change) <= self._may_be_left(named) for change in changes)
-
-    @staticmethod
-    def _may_be_left(named: _NamedChange) -> float:
-        """How much of a change of a drive may be left when it is over without an end that was seen."""
-        return min(_ENDING.remainder * abs(named.shift), named.row.least)
-
-    def _note_change(self, fault: Fault, best: Suspect) -> None:
-        """Note that a change stands from now on, and what was believed before it."""
-        before = self.competition.believed_before(best.born)
-        self._standing.append(_NamedChange(fault, best.row, before, best.shift))
+            self._standing.expect_back()
 
     def _name(self, best: Suspect, suspects: list[Suspect]) -> None:
         fault, signal = best.cause
@@ -852,35 +639,30 @@ class ChannelMonitor:
             if self.shows(best) and (self.on is None or self.on.fault is Fault.DRIFT):
                 self._raise(fault, best, suspects)
                 self.competition.sensors[signal].is_accused = True
-                self._leave_out(signal, best.born)
+                self._unbelieved.leave_out(signal, best.born)
+                self._wait_anew()
             return
         if fault is Fault.DRIFT:
             self._wait_for_a_name(best, suspects)
             return
-        if not self._is_on(fault, signal):
+        if not self._said.is_on(fault, signal):
             self._raise(fault, best, suspects)
         if fault is not Fault.DISTURBANCE:
-            self._note_change(fault, best)
+            self._standing.note_suspect(fault, best)
         self._adopt(best)
         if fault is Fault.SENSOR_DRIFT:
-            self._read_through(signal, best.born)
+            self._unbelieved.read_through(signal, best.born)
 
     def _adopt(self, best: Suspect) -> None:
         """Take a change for how the plant is from now on."""
         self.competition.adopt(best)
-        self._leads = (None, 0)
-        self._unnamed = 0
-        self._expect_back()
+        self._wait_anew()
+        self._standing.expect_back()
 
-    def _expect_back(self) -> None:
-        """Have every named change compete that may be undone."""
-        self.competition.expect_back(
-            [ExpectedEnd(named.row, named.before) for named in self._standing]
-        )
-
-    def _raise(self, fault: Fault, best: Suspect, suspects: list[Suspect]) -> None:
-        if self.on is not None:
-            self._close()
+    def _raise(
+        self, fault: Fault, best: Suspect, suspects: list[Suspect], reason: str = ""
+    ) -> None:
+        """Begin an alarm; its sentence is that of its fault, if it has no `reason` of its own."""
         first = min(self._begin + best.born, self._index)
         near = [
             suspect
@@ -890,38 +672,22 @@ class ChannelMonitor:
         rivals = tuple(
             dict.fromkeys(self.sentences.called(suspect.cause) for suspect in near)
         )
-        signal, size, reason = self.sentences.said(
-            fault, best, self._share_left(best), rivals
+        share = self._standing.share_left(best)
+        signal, size, usual_reason = self.sentences.said(fault, best, share, rivals)
+        said = reason or usual_reason
+        concerns_sensor = TRAITS[fault].subject is Subject.OUTPUT
+        if concerns_sensor and self._unbelieved.is_blind_without(best.cause[1]):
+            said = self.sentences.blind(said)
+        alarm = ChannelAlarm(
+            fault,
+            first,
+            self._index,
+            None,
+            said,
+            fault not in SLOW,
+            signal,
+            size=size,
+            rivals=rivals if fault is Fault.DRIFT else (),
+            suspects=tuple(suspects),
         )
-        self._alarms.append(
-            ChannelAlarm(
-                fault,
-                first,
-                self._index,
-                None,
-                reason,
-                fault not in SLOW,
-                signal,
-                size=size,
-                rivals=rivals if fault is Fault.DRIFT else (),
-                suspects=tuple(suspects),
-            )
-        )
-
-    def _share_left(self, suspect: Suspect) -> float:
-        """What is left of a drive's effect, as a share of what it was before any change that stands; 1 for anything
-        else."""
-        number = suspect.row.number
-        if not number.startswith("share "):
-            return 1.0
-        now = 1.0 + suspect.shift + self.competition.believed(number)
-        before = self.competition.believed_before(suspect.born)
-        of_drive = (named for named in self._standing if named.row.number == number)
-        first = next(of_drive, None)
-        usual = self.competition.number_in(
-            before if first is None else first.before, number
-        )
-        return max(now / max(1.0 + usual, LESS), 0.0)
-
-    def _close(self) -> None:
-        self._alarms[-1] = replace(self._alarms[-1], last=self._index)
+        self._said.begin(alarm)

@@ -237,6 +237,11 @@ class FaultSentences:
             f"can: look at the {declared.sensor}, and whether it sits where it should"
         )
 
+    @staticmethod
+    def blind(reason: str) -> str:
+        """A sentence on a sensor, where none is left by which it could be read through."""
+        return f"{reason}; no sensor is right, so none can be read through"
+
     def said(
         self, fault: Fault, best: Suspect, share: float, rivals: tuple[str, ...]
     ) -> tuple[str, float, str]:

@@ -24,7 +24,8 @@ from twinmatch.dynamics.pace import plant_scale, time_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import fit_session, in_parts
 from twinmatch.forecasting import ForecastError, SetPoints
-from twinmatch.health.channels import ChannelAlarm, ChannelMonitor
+from twinmatch.health.channel_alarms import ChannelAlarm
+from twinmatch.health.channels import ChannelMonitor
 from twinmatch.health.faults import TRAITS, Subject
 from twinmatch.memory import Memory, digest_of, start_from
 from twinmatch.memory.start import CENTRE
