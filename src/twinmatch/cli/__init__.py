@@ -18,6 +18,7 @@ from typing import Any, Final
 from twinmatch import __version__
 from twinmatch.cli.starting import started
 from twinmatch.errors import EXIT_INTERRUPTED, EXIT_USER_ERROR, TwinmatchError
+from twinmatch.linear_algebra import start_one_thread
 from twinmatch.nodes import require_ros
 from twinmatch.offline.processes import GARBAGE, LASTING_GARBAGE
 from twinmatch.printing import printable_output
@@ -101,6 +102,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Args:
         arguments: the command and its arguments; None: those of this process, which does nothing else.
     """
+    if arguments is None:
+        start_one_thread()
     gc.set_threshold(GARBAGE)
     # Python would look for cycles among all objects once more before it ends: a twentieth of a replay's time.
     atexit.register(gc.freeze)

@@ -134,7 +134,8 @@ def identify(
         return tuple(
             SimoModel(order, ladder[order], None, scale, lead) for order in orders
         )
-    # In parallel: almost all of the work is compiled code, which releases the GIL, and both are independent.
+    # In parallel: both are independent, and almost all of the work is compiled code, which releases the GIL.
+    # Nothing else takes long enough (docs/decisions/0167).
     with ThreadPoolExecutor(1) as executor:
         future = executor.submit(
             estimate_ladder, ahead(r), u, orders, hops=0, period=period

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -324,12 +323,10 @@ def family_uncertainty(
     family = _Family.of(twins, gaps, loop, seed)
     low = np.zeros((n, n))
     high = np.zeros((n, n))
-    with ThreadPoolExecutor(1) as executor:
-        # the sums are compiled code, which releases the GIL
-        sums = executor.submit(lambda: [family.sum_of(k) for k in range(n)])
-        for p, (i, j) in enumerate(zip(family.first, family.second, strict=True)):
-            low[i, j], high[i, j] = low[j, i], high[j, i] = family.interval(p)
-    lows, highs, draws = map(np.array, zip(*sums.result(), strict=True))
+    for p, (i, j) in enumerate(zip(family.first, family.second, strict=True)):
+        low[i, j], high[i, j] = low[j, i], high[j, i] = family.interval(p)
+    sums = [family.sum_of(k) for k in range(n)]
+    lows, highs, draws = map(np.array, zip(*sums, strict=True))
     shares = _shares(draws)
     if n == 2:
         shares = (

@@ -32,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.fmu.archive import FmuError
+from twinmatch.linear_algebra import ONE_THREAD
 
 MAX_HEADER: Final = 1 << 27
 MAX_NUMBERS: Final = 1 << 27
@@ -289,8 +290,7 @@ def _environment() -> dict[str, str]:
     environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
     return {
         **environment,
-        "OMP_NUM_THREADS": "1",
-        "OPENBLAS_NUM_THREADS": "1",
+        **ONE_THREAD,
         "PYTHONDONTWRITEBYTECODE": "1",
     }
 

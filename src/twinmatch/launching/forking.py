@@ -30,6 +30,7 @@ from types import TracebackType
 from typing import Final
 
 from twinmatch.launching.tracer import tell_tracer_of_forks
+from twinmatch.linear_algebra import ONE_THREAD
 from twinmatch.nodes import problem
 
 IMPORTED: Final = (
@@ -57,9 +58,7 @@ _POLL: Final = 0.01
 _MOMENT: Final = 0.0005
 """Interval between two looks at who the parent is, s."""
 ENVIRONMENT: Final = {
-    **dict.fromkeys(
-        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
-    ),
+    **ONE_THREAD,
     "PYTHONUNBUFFERED": "1",
 }
 """Variables of a process that programs are forked from. The matrices are small, and a process with threads

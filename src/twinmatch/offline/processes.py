@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Final, ParamSpec, TypeVar
 
+from twinmatch.linear_algebra import ONE_THREAD
+
 if TYPE_CHECKING:
     from concurrent.futures import Executor, ProcessPoolExecutor
 
@@ -106,8 +108,7 @@ def pool(processes: int, *, forked: bool = False) -> Iterator[ProcessPoolExecuto
 
 def _begin() -> None:
     """Set up a process: one thread of linear algebra, before numpy is imported; it ends with its parent."""
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[variable] = "1"
+    os.environ.update(ONE_THREAD)
     gc.set_threshold(GARBAGE)
     end_with_parent()
 

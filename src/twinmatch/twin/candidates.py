@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Final, NamedTuple
@@ -271,11 +270,8 @@ class CandidatePool:
         Raises:
             TwinmatchError: no model can be identified on it.
         """
-        with ThreadPoolExecutor(1) as executor:
-            # both are compiled code, which releases the GIL
-            plant_fit = executor.submit(self.structures.plant_now)
-            model = self._model(window)
-        self._newest = _NewestWindow(window, model, plant_fit.result())
+        plant_now = self.structures.plant_now()
+        self._newest = _NewestWindow(window, self._model(window), plant_now)
         self.scores = self._score_all(self._newest)
 
     def score_leader(self) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -122,8 +121,6 @@ class Discriminator:
         self._recent: deque[Sample] = deque(maxlen=self.settings.schedule.stride)
         self._watch = PlantWatch(self.settings)
         self._defects = DefectReports(self.settings.schedule.stride)
-        self._fits: Future[None] | None = None
-        """The structures' fits to the window whose match is awaited, in a thread beside it."""
         self._begin_candidates()
         self._law_on_estimates = self._new_law_on_estimates()
         self._last_on_estimate: int | None = None
@@ -132,8 +129,6 @@ class Discriminator:
 
     def _begin_candidates(self) -> None:
         """Schedule and candidates as at the start."""
-        if self._fits is not None:
-            wait([self._fits])  # it changes the candidates that are left
         candidates = self._candidates_at_start
         self._schedule = _schedule(self.settings)
         self._pool = CandidatePool(
@@ -149,7 +144,6 @@ class Discriminator:
         ]
         self._due: Trigger | None = None
         self._request: MatchRequest | None = None
-        self._fits = None
         self._trusted: tuple[float, ...] = ()
 
     def tell_of_trial(self, first: int, last: float = math.inf) -> None:
@@ -328,11 +322,6 @@ class Discriminator:
         if reason := self._why_not_matched(trigger.window):
             return [self._judge(trigger, MatchResult(REFUSED, reason))]
         self._request = self._new_request(trigger)
-        if not self._external:
-            # most of a match is compiled code, which releases the GIL
-            with_match = ThreadPoolExecutor(1)
-            self._fits = with_match.submit(self._fit, trigger)
-            with_match.shutdown(wait=False)
         return []
 
     def _why_not_matched(self, window: Window) -> str:
@@ -454,21 +443,13 @@ class Discriminator:
         with one_thread():
             return self._pool.expel(alarm.first, alarm.flagged)
 
-    def _fit(self, trigger: Trigger) -> None:
-        """Fit the structures to the window of a trigger, if that is due."""
-        with one_thread():
-            self._pool.structures.push(trigger.window, excited=trigger.excited)
-
     def _judge(self, trigger: Trigger, match: MatchResult) -> Verdict:
         """The verdict on a window and on its match."""
         window = trigger.window
         pool = self._pool
         with one_thread():
-            if self._fits is not None:
-                self._fits.result()
-                self._fits = None
-            elif not self._watch.is_at_fault(window.first, window.last):
-                self._fit(trigger)
+            if not self._watch.is_at_fault(window.first, window.last):
+                pool.structures.push(window, excited=trigger.excited)
             dismissed = pool.leave_memory()
             pool.enter()
             match, is_scored = self._score(window, match)
