@@ -20,7 +20,7 @@ from twinmatch.adding.several import propose_several
 from twinmatch.health import Fault
 from twinmatch.health.channels import ChannelMonitor
 from twinmatch.health.linear_rival import LinearRival
-from twinmatch.health.mixture import NewestForecasts, ScoredForecast
+from twinmatch.health.mixture_forecasts import NewestForecasts, ScoredForecast
 from twinmatch.importing.table_files import open_table
 from twinmatch.plants import find_plant
 from twinmatch.sampling.sources import parse_map

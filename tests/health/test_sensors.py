@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twinmatch.health.mixture import ForecastSkill, ScoredForecast
+from twinmatch.health.mixture_forecasts import ForecastSkill, ScoredForecast
 from twinmatch.health.sensors import LearnedSensor, RunLengths
 
 

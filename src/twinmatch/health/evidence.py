@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -23,11 +24,10 @@ from twinmatch.dynamics.bank import (
     tally,
     unborn,
 )
-from twinmatch.health.faults import EVERY as EVERY_DRIVE
-from twinmatch.health.faults import TRAITS, Fault, Subject
+from twinmatch.health.change_table import BETWEEN_ONSETS, ChangeTable
+from twinmatch.health.faults import EVERY, HOUR, TRAITS, Fault, Subject
 from twinmatch.health.hypotheses import (
     ChangeRow,
-    Explanation,
     PlacedFault,
     rows_of,
 )
@@ -38,8 +38,6 @@ from twinmatch.health.sensors import Jump, LearnedSensor
 from twinmatch.settings import Rule
 from twinmatch.signals import BoolArray, FloatArray, Sample
 
-EVERY: Final = 2.0
-"""Time between two onsets, s."""
 _INEXACT: Final = 3.0
 """Times the expected squared errors from which on equations are inexact: kits come to 1.7, a fermenter in a
 file of lags to 4.6."""
@@ -52,6 +50,9 @@ class _Following(Rule):
     """Onsets of every change that are followed in each level."""
     reach: float = 480.0
     """Age after which an onset is forgotten, s."""
+    before: float = 30.0
+    """Time before the onset of a change at which the plant is taken to have been as before, s: a change is often
+    said to have begun some seconds late, when it has been learned in part."""
     rehearsed: float = 300.0
     """Time from which on the plant is known well enough to read through a sensor, s."""
     known_well: float = 900.0
@@ -65,7 +66,6 @@ _FOLLOWING: Final = _Following()
 _AT_ONCE: Final = 0.5
 """Share of what a reading is said to be off by from which on it has jumped, and of a jump by which one that
 follows its plant moves on behind it."""
-_HOUR: Final = 3600.0
 _LEAST_LOG_WEIGHT: Final = math.log(0.01)
 """Log-weight of a level from which on changes begin in it."""
 _CERTAIN: Final = 2.0
@@ -94,6 +94,27 @@ class Suspect:
     """Of the end of a change, the share of the way back that is gone."""
 
 
+class _TracePlaces(NamedTuple):
+    """Where traces are in the bank: by level, by row of the table, and then by slot."""
+
+    levels: int
+    rows: int
+
+    @property
+    def total(self) -> int:
+        """Number of traces for which there is room."""
+        return self.levels * self.rows * _FOLLOWING.slots
+
+    def of(self, level: int, row: int) -> range:
+        """The places of a row's traces in a level."""
+        begin = (level * self.rows + row) * _FOLLOWING.slots
+        return range(begin, begin + _FOLLOWING.slots)
+
+    def row_of(self, trace: int) -> int:
+        """The row of a trace."""
+        return trace // _FOLLOWING.slots % self.rows
+
+
 class ExpectedEnd(NamedTuple):
     """The end of a change that was named."""
 
@@ -101,35 +122,6 @@ class ExpectedEnd(NamedTuple):
     """What it ends."""
     before: FloatArray
     """What was believed before that change, shape (N,)."""
-
-
-class _Ends(Rule):
-    """How changes end that were named."""
-
-    lasts: float = 600.0
-    """Time after which one ends, s. Of causes that have not begun, one begins in an hour."""
-    spread: float = 0.2
-    """Standard deviation of the share of the way back that is gone."""
-    earlier: float = 30.0
-    """Time before its onset at which the plant is taken to have been as before, s: a change is often said to have
-    begun some seconds late, when it has been learned in part."""
-    returns: float = 30.0
-    """Time within which the size of a change returns to the one that lasts, s."""
-
-
-_ENDS: Final = _Ends()
-
-
-def _row_of_end(row: ChangeRow) -> ChangeRow:
-    """The row of the end of a change."""
-    return replace(
-        row, shift=1.0, spread=_ENDS.spread, lasting=0.0, slowly=0.0, is_end=True
-    )
-
-
-def _is_of_plant(row: ChangeRow) -> bool:
-    """Whether it changes the plant, and not a sensor."""
-    return row.cause[0] is not Fault.SENSOR_DRIFT
 
 
 class Competition:
@@ -163,7 +155,7 @@ class Competition:
     @property
     def drives(self) -> int:
         """Number of drives of the plant."""
-        return int(self._model.rest.size)
+        return self.healthy.drives
 
     @property
     def known(self) -> float:
@@ -174,7 +166,7 @@ class Competition:
         """Start over after a gap, keeping what was learned about the plant."""
         self.count = 0
         """Samples since the last gap."""
-        remembered = (_FOLLOWING.reach + _ENDS.earlier) * self.second
+        remembered = (_FOLLOWING.reach + _FOLLOWING.before) * self.second
         self._beliefs = deque[FloatArray](
             maxlen=math.ceil(remembered / self._between_onsets) + 1
         )
@@ -188,7 +180,7 @@ class Competition:
         )
         """What arrived lately of each drive at the places of the others."""
         self._values = deque[FloatArray](
-            maxlen=round((_FOLLOWING.reach + 4.0 * EVERY) * self.second) + 3
+            maxlen=round((_FOLLOWING.reach + 4.0 * BETWEEN_ONSETS) * self.second) + 3
         )
         """The newest readings, of all outputs."""
         self.healthy.restart()
@@ -207,116 +199,33 @@ class Competition:
     def expect_back(self, ends: list[ExpectedEnd]) -> None:
         """Make the table of changes, with those that may end, and room for their traces."""
         self._ends = ends
-        self.rows = [*self._usual, *(_row_of_end(end.row) for end in ends)]
         healthy = self.healthy
-        self._traces = unborn(
-            healthy.levels * len(self.rows) * _FOLLOWING.slots, len(healthy.numbers)
-        )
-        self._explanations = list(dict.fromkeys(row.explanation for row in self.rows))
-        self._crosses = np.array(
-            [explanation.crosses for explanation in self._explanations]
-        )
-        self.table = self._table_of(self.rows)
-        self._totals = np.full(len(self._explanations), -np.inf)
-        self._likeliest = np.zeros(len(self._explanations), dtype=np.int64)
+        self._changes = ChangeTable(self._usual, [end.row for end in ends], healthy)
+        self._places = _TracePlaces(healthy.levels, len(self.rows))
+        self._traces = unborn(self._places.total, len(healthy.numbers))
+        explanations = len(self._changes.explanations)
+        self._totals = np.full(explanations, -np.inf)
+        self._likeliest = np.zeros(explanations, dtype=np.int64)
 
-    def _table_of(self, rows: list[ChangeRow]) -> ChangeRows:
-        """The changes as the bank of hypotheses takes them."""
-        healthy = self.healthy
-        period = healthy.period
-        scale = healthy.scale
-        numbers = [healthy.numbers[row.number] for row in rows]
-        most_others = max(len(row.also) for row in rows)
-        also = np.full((len(rows), most_others), -1, dtype=np.int64)
-        follows = np.zeros((len(rows), self._model.rest.size))
-        for place, row in enumerate(rows):
-            also[place, : len(row.also)] = [healthy.numbers[name] for name in row.also]
-            follows[place, : len(row.follows)] = row.follows
-        explanations = [self._explanations.index(row.explanation) for row in rows]
-        rates = [period / (row.slowly * scale) if row.slowly else 0.0 for row in rows]
-        lasting = np.array(
-            [round(row.lasting * self.second) for row in rows], dtype=np.int64
-        )
-        comes_at_once = lasting <= 0
-        wanders = np.array([row.wanders for row in rows])
-        stays = math.exp(-period / (_ENDS.returns * scale))
-        spread = np.array([row.spread for row in rows])
-        return ChangeRows(
-            number=np.array(numbers, dtype=np.int64),
-            also=also,
-            cause=np.array(explanations, dtype=np.int64),
-            rate=np.array(rates),
-            wanders=wanders**2 * (1.0 - stays**2),
-            returns=stays,
-            diffusion=np.where(
-                comes_at_once, 0.0, 0.5 * spread**2 / np.maximum(lasting, 1)
-            ),
-            lasting=lasting,
-            shift=np.array([row.shift for row in rows]),
-            spread=np.where(comes_at_once, 1.0, math.sqrt(0.5)) * spread,
-            mass=np.array(self._masses(rows)),
-            whole=np.array(
-                [row.cause[0] is Fault.DRIVE_LOST and row.shift == -1.0 for row in rows]
-            ),
-            crosses=np.array([row.crosses for row in rows]),
-            follows=follows,
-            relative=np.array(
-                [self._row_of_same_parameter(row) for row in rows],
-                dtype=np.int64,
-            ),
-        )
+    @property
+    def rows(self) -> list[ChangeRow]:
+        """All changes that may begin now, and the ends of those that were named."""
+        return self._changes.rows
 
-    def _row_of_same_parameter(self, row: ChangeRow) -> int:
-        """Place of the first row of the parameter that changes by a share of what it was, in a row or at its
-        end; −1 if there is none."""
-        is_end_of_plant = row.is_end and _is_of_plant(row)
-        for place, other in enumerate(self._usual):
-            is_same = other.number == row.number and row.is_relative
-            if other.is_relative and (is_same or is_end_of_plant):
-                return place
-        return -1
+    @property
+    def table(self) -> ChangeRows:
+        """The same as the bank of hypotheses takes them."""
+        return self._changes.of_bank
 
     @property
     def expects_ends_by(self) -> float:
         """By how much the end of a change is expected more than a change that has not begun, nats."""
-        return math.log(EVERY / _ENDS.lasts * self._onsets)
-
-    @property
-    def _onsets(self) -> float:
-        """Number of ways in which a change may begin in an hour: causes and moments."""
-        causes = int(np.count_nonzero(~self._crosses))
-        return causes * _HOUR / EVERY
-
-    def _masses(self, rows: list[ChangeRow]) -> list[float]:
-        """Prior probabilities that a row begins now: in an hour one cause does, in one of its rows."""
-        onsets = self._onsets
-        weights = {
-            explanation: self._weight_of(explanation)
-            for explanation in self._explanations
-        }
-        return [
-            EVERY / _ENDS.lasts
-            if row.is_end
-            else math.exp(-row.price) / weights[row.explanation] / onsets
-            for row in rows
-        ]
-
-    def _weight_of(self, explanation: Explanation) -> float:
-        """Sum of the weights of an explanation's rows, which share its probability."""
-        return sum(
-            math.exp(-row.price)
-            for row in self._usual
-            if row.explanation == explanation
-        )
+        return self._changes.expects_ends_by
 
     def push(self, sample: Sample, values: FloatArray, counts: BoolArray) -> None:
         """Take the readings of a sample, and which of them count."""
-        are_sound = counts
-        if self.untaken:
-            counts = counts & ~np.isin(np.arange(counts.size), list(self.untaken))
         healthy = self.healthy
-        table = self.table
-        traces = self._traces
+        is_taken = counts & ~self._are_among(self.untaken)
         reach = round(_FOLLOWING.reach * self.second)
         if self.count and self.count % self._between_onsets == 0:
             self._begin_traces(reach)
@@ -324,63 +233,92 @@ class Competition:
         u = np.array(sample.inputs)
         self._commands.append(np.abs(u - self._model.rest))
         self._values.append(values)
-        healthy.take(sample, values, counts)
+        healthy.forecasts.take(sample, values, is_taken)
         healthy.open(values, u, row)
-        readings = list(
-            zip(self.sensors, values.tolist(), counts.tolist(), strict=True)
-        )
-        for (sensor, value, _), is_sound in zip(
-            readings, are_sound.tolist(), strict=True
-        ):
+        for sensor, value, is_sound in self._by_sensor(values, counts):
             sensor.read(value, is_sound)
-        reading, variance = self._reading(values, counts, healthy.acting(u), row)
+        reading, variance = self._reading(values, is_taken, healthy.acting(u), row)
         self._arrived.append(reading.crossing.copy())
-        levels = healthy.levels
-        code = self._model.kernels.code
         step(
-            code,
+            self._model.kernels.code,
             healthy.fixed,
             healthy.members,
-            traces,
-            table,
-            levels,
+            self._traces,
+            self.table,
+            healthy.levels,
             reading,
             self.count,
         )
         is_repeated = np.array([sensor.repeated for sensor in self.sensors])
-        healthy.take_fresh(values, variance, counts & ~is_repeated)
+        healthy.forecasts.take_fresh(values, variance, is_taken & ~is_repeated)
         self._rehearse(reading, variance)
-        if self.through:
-            is_lying = np.isin(np.arange(counts.size), list(self.through))
-            reading = reading._replace(seen=counts & ~is_lying)
-            for output, estimator in self.through.items():
-                estimator.push(reading, variance[output])
+        self._estimate(reading, variance)
+        self._weigh(values, is_taken)
+        healthy.forecasts.compare(
+            values,
+            variance,
+            all_count=bool(is_taken.all()),
+            count=self.count,
+            known=healthy.known,
+            best=healthy.best,
+            reach=reach,
+        )
+        self._learn(values, counts)
+        self.count += 1
+        healthy.known += 1
+        self._follow_movements(values, counts)
+
+    def _are_among(self, outputs: Collection[int]) -> BoolArray:
+        """Which outputs are among these, shape (o,)."""
+        is_among = np.zeros(len(self.sensors), dtype=bool)
+        is_among[list(outputs)] = True
+        return is_among
+
+    def _by_sensor(
+        self, values: FloatArray, counts: BoolArray
+    ) -> Iterator[tuple[LearnedSensor, float, bool]]:
+        """Each sensor with its reading, and whether that counts."""
+        return zip(self.sensors, values.tolist(), counts.tolist(), strict=True)
+
+    def _estimate(self, reading: Reading, variance: FloatArray) -> None:
+        """Estimate the outputs whose sensors lie, without the readings of these."""
+        if not self.through:
+            return
+        is_right = reading.seen & ~self._are_among(self.through)
+        for output, estimator in self.through.items():
+            estimator.push(reading._replace(seen=is_right), variance[output])
+
+    def _weigh(self, values: FloatArray, is_taken: BoolArray) -> None:
+        """Weigh all that is healthy by the readings that are taken, and every change against that."""
+        healthy = self.healthy
         gained = healthy.members.gained[healthy.best].tolist()
+        readings = self._by_sensor(values, is_taken)
         without_equations = [
-            sensor.walked(value, it_counts, nats)
-            for (sensor, value, it_counts), nats in zip(readings, gained, strict=True)
+            sensor.walked(value, counts, nats)
+            for (sensor, value, counts), nats in zip(readings, gained, strict=True)
         ]
         total = healthy.weigh(sum(without_equations))
         tally(
-            traces,
-            table,
-            levels,
+            self._traces,
+            self.table,
+            healthy.levels,
             total,
-            healthy.doubts,
+            healthy.forecasts.doubts,
             self.count,
             self._totals,
             self._likeliest,
         )
-        healthy.score_forecasts(self.count, values, counts, variance, reach)
-        gained = healthy.members.gained[healthy.best].tolist()
-        expected = healthy.members.expected[healthy.best].tolist()
-        for (sensor, value, _), is_sound, nats, due in zip(
-            readings, are_sound.tolist(), gained, expected, strict=True
+
+    def _learn(self, values: FloatArray, counts: BoolArray) -> None:
+        """Have each sensor learn from its reading, beside what the most probable filter expected."""
+        members = self.healthy.members
+        gained = members.gained[self.healthy.best].tolist()
+        expected = members.expected[self.healthy.best].tolist()
+        readings = self._by_sensor(values, counts)
+        for (sensor, value, is_sound), nats, due in zip(
+            readings, gained, expected, strict=True
         ):
             sensor.learn(value, is_sound, nats, due)
-        self.count += 1
-        healthy.known += 1
-        self._follow_movements(values, are_sound)
 
     def _follow_movements(self, values: FloatArray, counts: BoolArray) -> None:
         """Note which readings move farther than the plant can."""
@@ -402,7 +340,7 @@ class Competition:
         """Whether the plant, as it was known before, cannot move an output so far in so short a time."""
         began = self.count - round(RUNNING.lasts * self.second)
         before = self.believed_before(began)
-        since = _ENDS.earlier + RUNNING.lasts
+        since = _FOLLOWING.before + RUNNING.lasts
         falls, rises = self.healthy.farthest_movements(before, since, RUNNING.lasts)
         return runs_away(moved, (float(falls[output]), float(rises[output])), noise)
 
@@ -411,7 +349,7 @@ class Competition:
         if self.known < _FOLLOWING.rehearsed:
             return []
         variance = np.array([sensor.variance for sensor in self.sensors])
-        knows = self.healthy.skill.knows(variance)
+        knows = self.healthy.forecasts.skill.knows(variance)
         return [
             output
             for output, lasted in enumerate(self._runs_away)
@@ -482,22 +420,22 @@ class Competition:
     @property
     def _between_onsets(self) -> int:
         """Number of samples between two onsets."""
-        return max(1, round(EVERY * self.second))
+        return max(1, round(BETWEEN_ONSETS * self.second))
 
     def _aim(self, end: ExpectedEnd, place: int) -> None:
         """Have the onsets of an end that begin now lead back to what was believed before; `place` is that of its
         row."""
         healthy = self.healthy
         for level in range(healthy.levels):
-            begin = (level * len(self.rows) + place) * _FOLLOWING.slots
-            begins_now = self._traces.born[begin : begin + _FOLLOWING.slots]
-            for slot in np.flatnonzero(begins_now == self.count).tolist():
-                way = healthy.way_back(level, end.before)
-                self._aim_trace(begin + slot, np.where(self._moves(end.row), way, 0.0))
+            for trace in self._places.of(level, place):
+                if self._traces.born[trace] == self.count:
+                    way = healthy.way_back(level, end.before)
+                    way_of_row = np.where(self._moves(end.row), way, 0.0)
+                    self._aim_trace(trace, way_of_row)
 
     def _aim_trace(self, trace: int, way: FloatArray) -> None:
         """Have an onset that begins now change all numbers on the way back, shape (N,)."""
-        row = trace // _FOLLOWING.slots % len(self.rows)
+        row = self._places.row_of(trace)
         self._traces.trace[trace] = way
         self._traces.way[trace] = way[self.table.number[row]]
         relative = self.table.relative[row]
@@ -507,7 +445,7 @@ class Competition:
     def _moves(self, row: ChangeRow) -> BoolArray:
         """Which numbers of a belief a change has moved, shape (N,): those of the plant, as what a name does not
         explain is learned as others of them; or the offset of one sensor."""
-        if _is_of_plant(row):
+        if row.is_of_plant:
             return self.healthy.of_plant
         is_number = np.zeros(len(self.healthy.numbers), dtype=bool)
         is_number[self.healthy.numbers[row.number]] = True
@@ -517,7 +455,7 @@ class Competition:
         """What was believed before a change that began at a sample, shape (N,)."""
         if not self._beliefs:
             return np.array(self.healthy.members.at[self.healthy.best])
-        since = self.count - born + _ENDS.earlier * self.second
+        since = self.count - born + _FOLLOWING.before * self.second
         newest = len(self._beliefs) - 1
         back = math.ceil(since / self._between_onsets)
         return self._beliefs[max(newest - back, 0)]
@@ -569,64 +507,71 @@ class Competition:
     def _price_of_hour(self) -> float:
         """The hour in which a change began has to be said, too: the longer a plant is known, the dearer;
         nats."""
-        return 2.0 * math.log(1.0 + self.known / _HOUR)
+        return 2.0 * math.log(1.0 + self.known / HOUR)
 
     def suspects(self) -> list[Suspect]:
         """Every cause with its evidence, the best first."""
-        price_of_hour = self._price_of_hour
-        healthy = self.healthy
-        suspects = []
-        is_interesting = self._totals >= _INTERESTING + price_of_hour
-        for place in np.flatnonzero(is_interesting & ~self._crosses):
-            trace = int(self._likeliest[place])
-            row = self.rows[trace // _FOLLOWING.slots % len(self.rows)]
-            born = int(self._traces.born[trace])
-            slowly = row.slowly * healthy.scale
-            # Of a ramp, the part that has come so far.
-            share = (
-                min((self.count - born) * healthy.period / slowly, 1.0)
-                if slowly
-                else 1.0
-            )
-            size = float(self._traces.mean[trace])
-            way = float(self._traces.way[trace])
-            shift = size * way
-            error = math.sqrt(self._traces.variance[trace]) * abs(way)
-            evidence = float(self._totals[place]) - price_of_hour
-            evidence -= row.cost_of_impossible(shift, error, self.believed(row.number))
-            suspects.append(
-                Suspect(
-                    row.cause,
-                    evidence,
-                    row,
-                    shift * share,
-                    error * share,
-                    born,
-                    trace,
-                    size if row.is_end else 0.0,
-                )
-            )
-        for i, sensor in enumerate(self.sensors):
-            evidence = sensor.frozen - math.log(_HOUR * self.second) - price_of_hour
+        least = _INTERESTING + self._price_of_hour
+        is_interesting = (self._totals >= least) & ~self._changes.crosses
+        places = np.flatnonzero(is_interesting).tolist()
+        suspects = [self._suspect(place) for place in places]
+        for output, sensor in enumerate(self.sensors):
+            evidence = self._evidence_of_frozen(sensor)
             if evidence >= _INTERESTING:
-                row = ChangeRow((Fault.SENSOR_FROZEN, i), "")
+                row = ChangeRow((Fault.SENSOR_FROZEN, output), "")
                 born = self.count - sensor.repeats
                 suspects.append(Suspect(row.cause, evidence, row, 0.0, 0.0, born, -1))
         suspects.sort(key=lambda suspect: -suspect.evidence)
         self._suspected = bool(suspects) and suspects[0].evidence > 0.0
         return suspects
 
+    def _suspect(self, explanation: int) -> Suspect:
+        """The cause of an explanation, given by place, by its likeliest trace."""
+        trace = int(self._likeliest[explanation])
+        row = self.rows[self._places.row_of(trace)]
+        born = int(self._traces.born[trace])
+        size = float(self._traces.mean[trace])
+        way = float(self._traces.way[trace])
+        shift = size * way
+        error = math.sqrt(self._traces.variance[trace]) * abs(way)
+        evidence = float(self._totals[explanation]) - self._price_of_hour
+        evidence -= row.cost_of_impossible(shift, error, self.believed(row.number))
+        share = self._share_come(row, born)
+        return Suspect(
+            row.cause,
+            evidence,
+            row,
+            shift * share,
+            error * share,
+            born,
+            trace,
+            returned=size if row.is_end else 0.0,
+        )
+
+    def _share_come(self, row: ChangeRow, born: int) -> float:
+        """The part of a ramp that has come so far; 1 of what comes at once."""
+        if not row.slowly:
+            return 1.0
+        healthy = self.healthy
+        slowly = row.slowly * healthy.scale
+        return min((self.count - born) * healthy.period / slowly, 1.0)
+
+    def _evidence_of_frozen(self, sensor: LearnedSensor) -> float:
+        """Evidence that a sensor is frozen, nats beyond its price."""
+        moments = math.log(HOUR * self.second)
+        return sensor.frozen - moments - self._price_of_hour
+
     @property
     def crossing(self) -> float:
         """Evidence that drives act on each other's places in another way than the equations say, nats; −∞ if
         the plant has one drive."""
-        totals = self._totals[self._crosses]
+        totals = self._totals[self._changes.crosses]
         return float(totals.max(initial=-math.inf)) - self._price_of_hour
 
     def frozen(self, output: int, value: float) -> bool:
         """Whether a reading is far from what was expected before it began to repeat itself."""
         sensor = self.sensors[output]
-        missed = self.healthy.missed(
+        missed = self.healthy.forecasts.missed(
             self.count - 1 - sensor.repeats, output, value, sensor.variance
         )
         return missed or self.rehearsals[output].missed(sensor.repeats, value)
@@ -649,7 +594,7 @@ class Competition:
     def is_forgotten_soon(self, suspect: Suspect) -> bool:
         """Whether its onset is so long ago that it is not followed much longer."""
         age = self.count - suspect.born
-        return age >= (_FOLLOWING.reach - 2.0 * EVERY) * self.second
+        return age >= (_FOLLOWING.reach - 2.0 * BETWEEN_ONSETS) * self.second
 
     def was_asked(self, suspect: Suspect) -> bool:
         """Whether a drive, or one of all drives, has been asked since it is said to have changed for more than
@@ -663,7 +608,7 @@ class Competition:
         asked = commands[-since:].sum(axis=0)
         is_enough = asked > latest * commands.max(axis=0)
         drive = suspect.cause[1]
-        return bool(is_enough.any() if drive == EVERY_DRIVE else is_enough[drive])
+        return bool(is_enough.any() if drive == EVERY else is_enough[drive])
 
     def most_that_crosses(self, suspect: Suspect) -> float:
         """The most that may have crossed to the drive of a suspect from the others, as far as they have moved, as
@@ -696,14 +641,14 @@ class Competition:
         variance = np.array([sensor.variance for sensor in self.sensors])
         healthy = self.healthy
         since = healthy.known - (self.count - suspect.born)
-        knows = healthy.skill.knows(variance)
-        is_explained = healthy.newest_forecasts.explained(since, variance)
+        knows = healthy.forecasts.skill.knows(variance)
+        is_explained = healthy.forecasts.newest.explained(since, variance)
         concerns_one_output = (
             TRAITS[fault].subject is Subject.OUTPUT or fault is Fault.DISTURBANCE
         )
         if concerns_one_output:
             return bool(knows[place] and not is_explained[place])
-        is_missed = healthy.newest_forecasts.missed(since, variance)
+        is_missed = healthy.forecasts.newest.missed(since, variance)
         all_explained = is_missed.any() and is_explained[is_missed].all()
         return bool(knows.all() and not all_explained)
 
@@ -736,7 +681,7 @@ class Competition:
     def is_inexact(self) -> bool:
         """Whether the equations' forecasts have erred far more than is expected of them, as those of a plant do
         that is not linear where its equations are."""
-        return bool(self.healthy.doubts.max() > _INEXACT)
+        return bool(self.healthy.forecasts.doubts.max() > _INEXACT)
 
     @property
     def blind(self) -> bool:
@@ -787,7 +732,7 @@ class Competition:
             )
             sensor.jump = Jump(0, 0.0)
         self._clear()
-        self.healthy.forget_newest()
+        self.healthy.forecasts.forget()
         for rehearsal in self.rehearsals:
             rehearsal.drop()
 
@@ -811,15 +756,13 @@ class Competition:
 
     def _trace_of(self, suspect: Suspect, b: int) -> int:
         """The trace of a suspect in a healthy member: its own, if it has one that began then."""
-        row = suspect.hypothesis // _FOLLOWING.slots % len(self.rows)
-        begin = (b * len(self.rows) + row) * _FOLLOWING.slots
-        traces_of_row = (
-            range(begin, begin + _FOLLOWING.slots) if b < self.healthy.levels else ()
-        )
-        return next(
-            (t for t in traces_of_row if self._traces.born[t] == suspect.born),
-            suspect.hypothesis,
-        )
+        if b >= self.healthy.levels:
+            return suspect.hypothesis
+        row = self._places.row_of(suspect.hypothesis)
+        for trace in self._places.of(b, row):
+            if self._traces.born[trace] == suspect.born:
+                return trace
+        return suspect.hypothesis
 
     def left_after(self, suspect: Suspect, row: ChangeRow, before: FloatArray) -> float:
         """How far the number of a row would be from what was believed before, if a suspect were taken for how the
@@ -847,7 +790,7 @@ class Competition:
             members.at[b] += change
             members.covariance[b] += np.outer(spread, spread) * traces.variance[t]
         self._clear()
-        self.healthy.forget_newest()
+        self.healthy.forecasts.forget()
         for output, rehearsal in enumerate(self.rehearsals):
             if suspect.cause != (Fault.SENSOR_DRIFT, output):
                 # its rehearsal does not use that sensor

@@ -269,7 +269,7 @@ class Health:
 
 
 HOUR: Final = 3600.0
-"""How far an estimate is looked ahead, s."""
+"""How far an estimate is looked ahead, and in which time one change is expected to begin, s."""
 
 
 @dataclass(frozen=True)

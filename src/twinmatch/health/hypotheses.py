@@ -92,6 +92,11 @@ class ChangeRow:
         return bool(self.follows)
 
     @property
+    def is_of_plant(self) -> bool:
+        """Whether it changes the plant, and not a sensor."""
+        return self.cause[0] is not Fault.SENSOR_DRIFT
+
+    @property
     def explanation(self) -> Explanation:
         """What it stands for."""
         return Explanation(self.cause, self.crosses)

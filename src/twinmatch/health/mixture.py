@@ -8,8 +8,7 @@ mixture's expectations are worth.
 from __future__ import annotations
 
 import math
-from collections import deque
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -18,10 +17,9 @@ from twinmatch.dynamics.bank import BankConstants, BankMembers, weigh
 from twinmatch.dynamics.pace import plant_scale, slow_scale
 from twinmatch.dynamics.simulation import advance, begin, readings
 from twinmatch.dynamics.tracker import Assumed
-from twinmatch.health.faults import HOUR
-from twinmatch.health.linear_rival import LinearRival
+from twinmatch.health.mixture_forecasts import RECORD, MixtureForecasts
 from twinmatch.settings import Rule
-from twinmatch.signals import BoolArray, FloatArray, Sample
+from twinmatch.signals import BoolArray, FloatArray
 
 LEVELS: Final = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
 """Sizes of the equations' error, in units of that of a real rig."""
@@ -50,10 +48,6 @@ class _Switching(Rule):
 _SWITCHING: Final = _Switching()
 
 
-AHEAD: Final = (1.0, 5.0, 15.0, 30.0, 60.0, 120.0)
-"""How far ahead is forecast, s."""
-
-
 class _Crossing(Rule):
     """How what one drive does arrives where another one acts, in another way than the equations say."""
 
@@ -65,30 +59,6 @@ class _Crossing(Rule):
 
 
 CROSSING: Final = _Crossing()
-
-
-class _ForecastRecord(Rule):
-    """How the forecasts of a mixture are scored."""
-
-    count: int = 5
-    """Most that wait for their readings at the same time."""
-    prior: float = 4.0
-    """Number of forecasts as good as expected that are assumed at the beginning."""
-    counted: float = 150.0
-    """Time after which a forecast counts, s: by then a change that it shows has been found."""
-    known: float = 300.0
-    """Time for which the plant must have been seen before forecasts wait for so long, s."""
-    far: float = 5.0
-    """Standard deviations beyond which a forecast was wrong."""
-    most: float = 25.0
-    """Most that one squared error counts."""
-
-
-_RECORD: Final = _ForecastRecord()
-
-
-_KEPT: Final = 1.0 - 1.0 / 120.0
-"""What a forecast leaves of the record of those before."""
 
 
 def _numbers_of(model: Model) -> list[str]:
@@ -108,7 +78,7 @@ def _numbers_of(model: Model) -> list[str]:
 
 def _no_members(healthy: int, numbers: int, outputs: int) -> BankMembers:
     """So many healthy members, with beliefs of so many numbers, and room for forecasts."""
-    count = healthy + _RECORD.count
+    count = healthy + RECORD.count
     return BankMembers(
         np.zeros((count, numbers)),
         np.zeros((count, numbers, numbers)),
@@ -120,118 +90,6 @@ def _no_members(healthy: int, numbers: int, outputs: int) -> BankMembers:
         np.zeros((count, outputs)),
         np.zeros((count, outputs)),
     )
-
-
-class ScoredForecast(NamedTuple):
-    """One forecast beside its readings; errors are of each output."""
-
-    at: int
-    """Sample at which it was scored, counted from the beginning."""
-    ahead: int
-    """Place of how far ahead it was made."""
-    error: float
-    """Mean squared error of all outputs, in their variances."""
-    squares: FloatArray
-    """Squared errors."""
-    standing: FloatArray
-    """Those of a reading that had stayed what it was."""
-    linear: FloatArray
-    """Those of a linear model without physics."""
-
-
-class ForecastSkill:
-    """Whether the equations forecast each output about as well as a reading that stays what it is.
-
-    In a loop that holds its set-points nothing is better than that; equations that err twice as far there
-    are not those of this plant.
-    """
-
-    _AHEAD: Final = 2
-    """Place of the shortest forecasts that count: sooner, nothing has moved."""
-    _SMALL: Final = 3.0
-    """Errors up to so many standard deviations of a reading are none."""
-    _FARTHER: Final = 2.0
-    """Times as far that the equations may err."""
-    _LEAST: Final = 12.0
-    """Number of forecasts from which on it is known: those of a minute and a half."""
-
-    def __init__(self, outputs: int) -> None:
-        """Begin without any forecast."""
-        self._squares = np.zeros(outputs)
-        self._standing = np.zeros(outputs)
-        self._count = 0.0
-
-    def take(self, scored: ScoredForecast) -> None:
-        """Take a forecast."""
-        if scored.ahead < self._AHEAD:
-            return
-        self._squares = _KEPT * self._squares + scored.squares
-        self._standing = _KEPT * self._standing + scored.standing
-        self._count = _KEPT * self._count + 1.0
-
-    def knows(self, variance: FloatArray) -> BoolArray:
-        """Which outputs are forecast well, where readings have this variance; all, before that is known."""
-        if self._count < self._LEAST:
-            return np.ones(variance.size, dtype=bool)
-        small = self._SMALL**2 * variance * self._count
-        return np.asarray(
-            self._squares <= self._FARTHER**2 * np.maximum(self._standing, small)
-        )
-
-
-class NewestForecasts:
-    """Whether a linear model without physics has forecast what the equations missed.
-
-    What changes in a plant, or pushes it, is missed by both. What only the equations miss is theirs.
-    """
-
-    _FARTHER: Final = 2.0
-    """Times as far that the equations may err; real faults of kits came to 1.9."""
-    _SMALL: Final = 3.0
-    """Errors up to so many standard deviations of a reading are none."""
-    _LEAST: Final = 3
-    """Forecasts that are needed to say so."""
-    _AHEAD: Final = 2
-    """Place of the shortest forecasts that count: sooner, nothing has moved."""
-
-    def __init__(self) -> None:
-        """Begin without any forecast."""
-        self._scored: deque[ScoredForecast] = deque()
-
-    def take(self, scored: ScoredForecast, reach: int) -> None:
-        """Take a forecast, and drop those that were scored more than `reach` samples before it."""
-        if scored.ahead >= self._AHEAD:
-            self._scored.append(scored)
-        while self._scored and scored.at - self._scored[0].at > reach:
-            self._scored.popleft()
-
-    def clear(self) -> None:
-        """Forget all, after a gap."""
-        self._scored.clear()
-
-    def explained(self, since: int, variance: FloatArray) -> BoolArray:
-        """Which outputs the linear model has forecast far better than the equations, in forecasts scored since
-        a sample, counted from the beginning; readings have this variance."""
-        scored = self._since(since)
-        if len(scored) < self._LEAST:
-            return np.zeros(variance.size, dtype=bool)
-        of_equations = np.mean([forecast.squares for forecast in scored], axis=0)
-        of_linear = np.mean([forecast.linear for forecast in scored], axis=0)
-        small = self._SMALL**2 * variance
-        return np.asarray(
-            of_equations > self._FARTHER**2 * np.maximum(of_linear, small)
-        )
-
-    def missed(self, since: int, variance: FloatArray) -> BoolArray:
-        """Which outputs the equations have missed by more than their readings scatter, in the same forecasts."""
-        scored = self._since(since)
-        if not scored:
-            return np.ones(variance.size, dtype=bool)
-        of_equations = np.mean([forecast.squares for forecast in scored], axis=0)
-        return np.asarray(of_equations > self._SMALL**2 * variance)
-
-    def _since(self, sample: int) -> list[ScoredForecast]:
-        return [forecast for forecast in self._scored if forecast.at >= sample]
 
 
 class HealthyMixture:
@@ -267,7 +125,6 @@ class HealthyMixture:
         self._lagging = 1.0 - np.exp(-1.0 / (np.array(lags)[:, np.newaxis] * swift))
         self.levels = len(LEVELS)
         self.healthy = self.levels + self._ways  # after them, forecasts
-        self._ahead = [max(1, round(ahead * self.second)) for ahead in AHEAD]
         self.members = _no_members(self.healthy, len(names), len(model.noise))
         self._way = 0  # place of the way in which inputs usually act
         self._fresh = True
@@ -275,21 +132,13 @@ class HealthyMixture:
         """Samples since the beginning."""
         self.best = 0
         """The most probable of the levels."""
-        self._dispersion = np.ones(len(AHEAD))
-        self._weights = np.full(len(AHEAD), _RECORD.prior)
-        self._waiting: deque[ScoredForecast] = deque()
-        self.skill = ForecastSkill(len(model.noise))
-        self.newest_forecasts = NewestForecasts()
-        self._linear = LinearRival(
-            _RECORD.count, self._ahead[-1], math.exp(-1.0 / (HOUR * self.second))
-        )
-        self._values_begun = np.zeros((_RECORD.count, len(model.noise)))
-        self._misses_when_fresh = np.zeros((_RECORD.count, len(model.noise)))
-        """By how much each forecast missed the newest fresh reading of each output, squared and in its
-        variance."""
-        self.doubts = np.ones(1)
-        """By how much evidence is divided, for each age of a change, samples."""
+        self.forecasts = MixtureForecasts(self.members, self.healthy, self.second)
         self.restart()
+
+    @property
+    def drives(self) -> int:
+        """Number of drives of the plant."""
+        return int(self._model.rest.size)
 
     def _constants(self, assumed: Assumed) -> BankConstants:
         model = self._model
@@ -333,16 +182,9 @@ class HealthyMixture:
         self.crossing_inputs = np.zeros(self._model.rest.size)
         """What of each input arrives at the places of the other drives, shape (m,)."""
         self._behind = np.zeros((self._lagging.size, self._model.rest.size))
-        self.forget_newest()
-        self.newest_forecasts.clear()
+        self.forecasts.restart()
         self._again = True
         self.log_weights = np.log(self._prior())
-
-    def forget_newest(self) -> None:
-        """A fault was found: what was forecast lately does not count."""
-        self._waiting.clear()
-        self._begun = [0] * _RECORD.count
-        self.members.alive[self.healthy :] = False
 
     def _prior(self) -> FloatArray:
         """Prior probabilities of the healthy members, and of no equations; kept as the usual ones."""
@@ -353,10 +195,6 @@ class HealthyMixture:
         prior[-1] = of_no_equations
         self._usual = np.asarray(prior / prior.sum())
         return self._usual
-
-    def take(self, sample: Sample, values: FloatArray, counts: BoolArray) -> None:
-        """Have the linear model without physics take a sample."""
-        self._linear.take(sample, values, counts)
 
     def open(self, values: FloatArray, u: FloatArray, row: FloatArray) -> None:
         """Begin, or begin again after a gap, at a reading; set the errors that are assumed."""
@@ -477,7 +315,7 @@ class HealthyMixture:
         ):
             array[: self.healthy] = believed[0]
         self.log_weights = np.log(self._prior())
-        self.forget_newest()
+        self.forecasts.forget()
 
     def _parameters_of(self, belief: FloatArray) -> Parameters:
         """The parameters of a belief, shape (N,)."""
@@ -524,44 +362,11 @@ class HealthyMixture:
         self.best = int(np.argmax(self.log_weights[: self.levels]))
         return total
 
-    def take_fresh(
-        self, values: FloatArray, variance: FloatArray, is_fresh: BoolArray
-    ) -> None:
-        """Note how forecasts miss the readings, of these variances, that are not repeated ones."""
-        expected = self.members.expected[self.healthy :]
-        expected_variance = self.members.variance[self.healthy :] + variance
-        misses = (values - expected) ** 2 / expected_variance
-        self._misses_when_fresh[:, is_fresh] = misses[:, is_fresh]
-
-    def missed(self, since: int, output: int, value: float, variance: float) -> bool:
-        """Whether this reading, which is repeated since a sample and has this variance, is far from a forecast
-        that was made before.
-
-        A forecast counts for what it was worth when the reading was fresh: the more of its standard
-        deviations it was off by then, the farther it has to be off now.
-        """
-        members = self.members
-        expected = members.expected[self.healthy :, output]
-        spread = members.variance[self.healthy :, output] + variance
-        dispersion = np.maximum(self._misses_when_fresh[:, output], 1.0)
-        far = (value - expected) ** 2 > _RECORD.far**2 * dispersion * spread
-        return bool((far & self._begun_before(since)).any())
-
-    def _begun_before(self, since: int) -> BoolArray:
-        """Which forecasts were made before a sample."""
-        return np.asarray(
-            (np.array(self._begun) < since) & self.members.alive[self.healthy :]
-        )
-
     def without(self, output: int, since: int) -> BankMembers:
         """A copy of the most probable filter that ascribes nothing to the sensor of this output; of one that
         has taken no reading since a sample, if there is one."""
-        before = np.flatnonzero(self._begun_before(since))
-        b = (
-            self.healthy + max(before, key=self._begun.__getitem__)
-            if before.size
-            else self.best
-        )
+        forecast = self.forecasts.newest_before(since)
+        b = self.best if forecast is None else forecast
         member = BankMembers(*(array[b : b + 1].copy() for array in self.members))
         member.takes[:] = True
         member.error[:] = self.members.error[self.best]
@@ -573,79 +378,6 @@ class HealthyMixture:
             member.covariance[0, number, :] = 0.0
             member.covariance[0, :, number] = 0.0
         return member
-
-    def score_forecasts(
-        self,
-        count: int,
-        values: FloatArray,
-        counts: BoolArray,
-        variance: FloatArray,
-        reach: int,
-    ) -> None:
-        """Compare forecasts with the readings, whose own variance is given, and begin another; `count` are
-        the samples since the last gap, and `reach` is the highest age of a change."""
-        self._score_and_end(count, values, variance, reach, all_seen=bool(counts.all()))
-        late = (
-            _RECORD.counted * self.second
-            if self.known > _RECORD.known * self.second
-            else 0.0
-        )
-        has_news = False
-        while self._waiting and self.known - self._waiting[0].at > late:
-            scored = self._waiting.popleft()
-            self.skill.take(scored)
-            weight = _KEPT * self._weights[scored.ahead]
-            dispersion = (weight * self._dispersion[scored.ahead] + scored.error) / (
-                weight + 1.0
-            )
-            self._dispersion[scored.ahead] = dispersion
-            self._weights[scored.ahead] = weight + 1.0
-            has_news = True
-        if has_news or self.doubts.size == 1:
-            dispersion = np.maximum.accumulate(np.maximum(self._dispersion, 1.0))
-            ages = np.log(np.maximum(np.arange(reach + 3), 1))
-            self.doubts = np.interp(ages, np.log(self._ahead), dispersion)
-
-    def _score_and_end(
-        self,
-        count: int,
-        values: FloatArray,
-        variance: FloatArray,
-        reach: int,
-        *,
-        all_seen: bool,
-    ) -> None:
-        """Score the forecasts that are as old as one that is compared, end the oldest, and begin another."""
-        members = self.members
-        free = -1
-        for k, alive in enumerate(members.alive[self.healthy :].tolist()):
-            b = self.healthy + k
-            age = count - self._begun[k]
-            if alive and age in self._ahead and all_seen:
-                squares = (values - members.expected[b]) ** 2
-                in_variances = np.minimum(
-                    squares / (members.variance[b] + variance), _RECORD.most
-                )
-                standing = (values - self._values_begun[k]) ** 2
-                ahead = self._ahead.index(age)
-                linear = (values - self._linear.forecast(k, age)) ** 2
-                error = float(in_variances.mean())
-                scored = ScoredForecast(
-                    self.known, ahead, error, squares, standing, linear
-                )
-                self._waiting.append(scored)
-                self.newest_forecasts.take(scored, reach)
-            if not alive or age >= self._ahead[-1]:
-                members.alive[b] = False
-                free = k
-        if count % self._ahead[3] == 0 and free >= 0:
-            b = self.healthy + free
-            for array in (members.at, members.covariance, members.error, members.way):
-                array[b] = array[self.best]
-            members.alive[b] = True
-            self._begun[free] = count
-            self._linear.begin(free)
-            self._values_begun[free] = values
 
     def choose_way(self) -> bool:
         """Have inputs act in another way from now on if that is clearly better; returns whether they do."""
