@@ -107,8 +107,8 @@ class HealthyMixture:
         self.inputs = ActingInputs(model.rest.size, swift, self.second)
         self.levels = len(LEVELS)
         self.healthy = self.levels + self.inputs.ways
-        """Number of members that take readings: the levels, and the equations at the usual one with inputs that act
-        in each way. Behind them are forecasts."""
+        """Number of members that take readings: the levels, and behind them those whose inputs act in another way.
+        Forecasts follow."""
         self.members = _no_members(self.healthy, len(names), len(model.noise))
         self._way = 0
         """The way in which inputs usually act, by place."""
