@@ -73,7 +73,7 @@ def test_the_end_of_a_named_change_is_expected_within_ten_minutes(
     assert table.expects_ends_by == pytest.approx(math.log(mass_of_end / mass_of_cause))
 
 
-def test_the_bank_is_told_what_each_row_moves(healthy: HealthyMixture) -> None:
+def test_the_bank_receives_what_each_row_moves(healthy: HealthyMixture) -> None:
     table = ChangeTable(USUAL, [], healthy)
     names = [*healthy.numbers]
     rows = table.of_bank
