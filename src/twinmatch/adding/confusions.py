@@ -231,8 +231,8 @@ class FaultTrial:
                 noise,
                 1e-3 * noise,
                 zeros,
-                healthy.acting(u),
-                healthy.crossing_inputs,
+                healthy.inputs.take(u),
+                healthy.inputs.crossing,
                 model.disturbances,
             )
             step(

@@ -24,6 +24,7 @@ from twinmatch.dynamics.bank import (
     tally,
     unborn,
 )
+from twinmatch.health.acting_inputs import CROSSING
 from twinmatch.health.change_table import BETWEEN_ONSETS, ChangeTable
 from twinmatch.health.faults import EVERY, HOUR, TRAITS, Fault, Subject
 from twinmatch.health.hypotheses import (
@@ -31,7 +32,7 @@ from twinmatch.health.hypotheses import (
     PlacedFault,
     rows_of,
 )
-from twinmatch.health.mixture import CROSSING, HealthyMixture
+from twinmatch.health.mixture import HealthyMixture
 from twinmatch.health.reading_through import ReadThrough, Rehearsal
 from twinmatch.health.runaway import RUNNING, NewestMovement, runs_away
 from twinmatch.health.sensors import Jump, LearnedSensor
@@ -172,7 +173,7 @@ class Competition:
         )
         """What was believed when changes began to be followed, the newest last."""
         self._commands = deque[FloatArray](
-            maxlen=round(_FOLLOWING.reach * self.second) + self.healthy.latest
+            maxlen=round(_FOLLOWING.reach * self.second) + self.healthy.inputs.latest
         )
         """The newest ones, of each drive, as distances from rest."""
         self._arrived = deque[FloatArray](
@@ -237,7 +238,7 @@ class Competition:
         healthy.open(values, u, row)
         for sensor, value, is_sound in self._by_sensor(values, counts):
             sensor.read(value, is_sound)
-        reading, variance = self._reading(values, is_taken, healthy.acting(u), row)
+        reading, variance = self._reading(values, is_taken, healthy.inputs.take(u), row)
         self._arrived.append(reading.crossing.copy())
         step(
             self._model.kernels.code,
@@ -377,23 +378,22 @@ class Competition:
         self, values: FloatArray, counts: BoolArray, inputs: FloatArray, row: FloatArray
     ) -> tuple[Reading, FloatArray]:
         """Readings with what is known of their sensors, and the variances of their noise."""
-        learned = [
-            (s.repeated, s.noise, s.step, s.pause, s.variance) for s in self.sensors
-        ]
-        repeated, noise, digit, pause, variance = np.array(
-            list(zip(*learned, strict=True))
+        learned = np.array(
+            [(s.repeated, s.noise, s.step, s.pause, s.variance) for s in self.sensors]
         )
-        return Reading(
-            values,
-            counts,
-            repeated,
-            noise,
-            digit,
-            pause,
-            inputs,
-            self.healthy.crossing_inputs,
-            row,
-        ), variance
+        repeated, noise, digit, pauses, variance = np.ascontiguousarray(learned.T)
+        reading = Reading(
+            y=values,
+            seen=counts,
+            repeated=repeated,
+            noise=noise,
+            step=digit,
+            pauses=pauses,
+            inputs=inputs,
+            crossing=self.healthy.inputs.crossing,
+            disturbances=row,
+        )
+        return reading, variance
 
     def _begin_traces(self, reach: int) -> None:
         """Follow changes that begin now, and forget those that began `reach` samples ago."""
@@ -409,7 +409,7 @@ class Competition:
             healthy.members.at,
             weights,
             _LEAST_LOG_WEIGHT,
-            healthy.usual_inputs,
+            healthy.inputs.usual,
             reach,
             self.count,
         )
@@ -602,7 +602,7 @@ class Competition:
 
         A drive that is switched off a few seconds after that has shown nothing but when it acts.
         """
-        latest = self.healthy.latest
+        latest = self.healthy.inputs.latest
         since = self.count - suspect.born
         commands = np.array(self._commands)[-since - latest :]
         asked = commands[-since:].sum(axis=0)

@@ -17,14 +17,15 @@ from twinmatch.dynamics.bank import BankConstants, BankMembers, weigh
 from twinmatch.dynamics.pace import plant_scale, slow_scale
 from twinmatch.dynamics.simulation import advance, begin, readings
 from twinmatch.dynamics.tracker import Assumed
+from twinmatch.health.acting_inputs import ActingInputs
 from twinmatch.health.mixture_forecasts import RECORD, MixtureForecasts
 from twinmatch.settings import Rule
 from twinmatch.signals import BoolArray, FloatArray
 
 LEVELS: Final = np.array([0.25, 0.5, 1.0, 2.0, 4.0])
 """Sizes of the equations' error, in units of that of a real rig."""
-_WAYS: Final = ((0.0, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0), (2.0, 5.0, 10.0))
-"""Ways in which inputs may act: delays, s, and time constants of lags, s."""
+_CAREFUL: Final = 50.0
+"""Time for which the plant must have been seen for the next smaller of the levels to be assumed, s."""
 _UNDECLARED: Final = 0.7
 """Standard deviation of the logarithm of a parameter without a typical value in the plant file: a factor of
 two. Heater 2 of a kit has 0.4 to 0.8 of the power of heater 1."""
@@ -46,19 +47,6 @@ class _Switching(Rule):
 
 
 _SWITCHING: Final = _Switching()
-
-
-class _Crossing(Rule):
-    """How what one drive does arrives where another one acts, in another way than the equations say."""
-
-    lag: float = 30.0
-    """Time constant with which it arrives, s: it passes another body first, as the heat of a heater does."""
-    usual: float = 120.0
-    """Time over which an input is averaged to know what it has been lately, s: longer than a step of a loop
-    lasts."""
-
-
-CROSSING: Final = _Crossing()
 
 
 def _numbers_of(model: Model) -> list[str]:
@@ -109,25 +97,23 @@ class HealthyMixture:
         self.numbers = {name: i for i, name in enumerate(names)}
         """Places in a belief."""
         self._passing = [
-            i
-            for name, i in self.numbers.items()
-            if name.split()[0] in {"passing", "fading"}
+            place
+            for name, place in self.numbers.items()
+            if name.startswith(("passing ", "fading "))
         ]
+        """Places of what passes by itself."""
         self._n = len(model.states)
         self.fixed = self._constants(Assumed.of(parameters, period))
-        delays, lags = _WAYS
-        self._late = np.array(
-            list(dict.fromkeys(round(delay * swift) for delay in delays))
-        )
-        self.latest = int(self._late.max())
-        """Longest delay with which inputs may act, samples."""
-        self._ways = len(self._late) + len(lags)
-        self._lagging = 1.0 - np.exp(-1.0 / (np.array(lags)[:, np.newaxis] * swift))
+        self.inputs = ActingInputs(model.rest.size, swift, self.second)
         self.levels = len(LEVELS)
-        self.healthy = self.levels + self._ways  # after them, forecasts
+        self.healthy = self.levels + self.inputs.ways
+        """Number of members that take readings: the levels, and behind them those whose inputs act in another way.
+        Forecasts follow."""
         self.members = _no_members(self.healthy, len(names), len(model.noise))
-        self._way = 0  # place of the way in which inputs usually act
-        self._fresh = True
+        self._way = 0
+        """The way in which inputs usually act, by place."""
+        self._is_new = True
+        """Whether no reading has been taken since the beginning."""
         self.known = 0
         """Samples since the beginning."""
         self.best = 0
@@ -176,20 +162,15 @@ class HealthyMixture:
 
     def restart(self) -> None:
         """Start over after a gap, keeping what was learned about the plant."""
-        self._inputs: FloatArray | None = None  # the newest first
-        self.usual_inputs = np.zeros(self._model.rest.size)
-        """What each input has been lately, shape (m,)."""
-        self.crossing_inputs = np.zeros(self._model.rest.size)
-        """What of each input arrives at the places of the other drives, shape (m,)."""
-        self._behind = np.zeros((self._lagging.size, self._model.rest.size))
+        self.inputs.restart()
         self.forecasts.restart()
-        self._again = True
+        self._begins_again = True
         self.log_weights = np.log(self._prior())
 
     def _prior(self) -> FloatArray:
         """Prior probabilities of the healthy members, and of no equations; kept as the usual ones."""
         of_levels, of_other_ways, of_no_equations = _PRIOR_SHARES
-        prior = np.full(self.healthy + 1, of_other_ways / (self._ways - 1))
+        prior = np.full(self.healthy + 1, of_other_ways / (self.inputs.ways - 1))
         prior[: self.levels] = of_levels / self.levels
         prior[self.levels + self._way] = 1e-12  # the levels stand for the usual way
         prior[-1] = of_no_equations
@@ -198,22 +179,21 @@ class HealthyMixture:
 
     def open(self, values: FloatArray, u: FloatArray, row: FloatArray) -> None:
         """Begin, or begin again after a gap, at a reading; set the errors that are assumed."""
-        careful = LEVELS[
-            max(self.levels - 1 - self.known // max(1, round(50.0 * self.second)), 0)
-        ]
-        self.members.error[: self.levels] = np.maximum(LEVELS, careful)
-        self.members.error[self.levels : self.healthy] = LEVELS[
-            min(self.best + 1, self.levels - 1)
-        ]
-        if not self._again:
+        steps_known = self.known // max(1, round(_CAREFUL * self.second))
+        least_level = max(self.levels - 1 - steps_known, 0)
+        level_of_ways = min(self.best + 1, self.levels - 1)
+        errors = self.members.error
+        errors[: self.levels] = np.maximum(LEVELS, LEVELS[least_level])
+        errors[self.levels : self.healthy] = LEVELS[level_of_ways]
+        if not self._begins_again:
             return
         states = begin(self.parameters, values, input=u, disturbances=row)
         for b in range(self.healthy):
             self.members.alive[b] = b != self.levels + self._way
             self.members.way[b] = self._way if b < self.levels else b - self.levels
             self._open_member(b, states)
-        self._fresh = False
-        self._again = False
+        self._is_new = False
+        self._begins_again = False
 
     def _open_member(self, b: int, states: FloatArray) -> None:
         """Have a member know nothing, or after a gap nothing of the states and of what passes."""
@@ -221,7 +201,7 @@ class HealthyMixture:
         members = self.members
         deviations = self._first.copy()
         deviations[self._passing] *= LEVELS[b] if b < self.levels else 1.0
-        if self._fresh:
+        if self._is_new:
             members.at[b, :n] = states
             members.covariance[b] = np.diag(deviations**2)
             return
@@ -327,26 +307,6 @@ class HealthyMixture:
             believed = belief[number]
             values[name] = start * math.exp(believed) if is_logged else start + believed
         return self.parameters.replace(**values)
-
-    def acting(self, u: FloatArray) -> FloatArray:
-        """The inputs as they act now, in each way."""
-        if self._inputs is None:
-            self._behind[:] = u
-            self._inputs = np.tile(u, (self._late.max() + 1, 1))
-            self.usual_inputs[:] = u
-            self.crossing_inputs[:] = u
-        self._inputs[1:] = self._inputs[:-1].copy()
-        self._inputs[0] = u
-        self._behind += (u - self._behind) * self._lagging
-        self._average(u)
-        return np.vstack([self._inputs[self._late], self._behind])
-
-    def _average(self, u: FloatArray) -> None:
-        """Follow what the inputs have been lately, and what arrives at the places of other drives."""
-        lag = max(1.0, CROSSING.lag * self.second)
-        self.crossing_inputs += (u - self.crossing_inputs) / lag
-        recent = max(1.0, CROSSING.usual * self.second)
-        self.usual_inputs += (u - self.usual_inputs) / recent
 
     def weigh(self, walked: float) -> float:
         """Weigh all by a sample, `walked` without equations; its log-probability if the plant is healthy."""

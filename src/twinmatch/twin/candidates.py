@@ -3,81 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import chain
-from typing import Final, NamedTuple
 
-import numpy as np
-
-from twinmatch.comparing import (
-    Candidate,
-    CandidateScore,
-    Family,
-    LoopConditions,
-    OrderScore,
-    SimoModel,
-    choose_order,
-    common_order,
-    identify,
-    judge_uncertainty,
-    nominal_of,
-    nu_gap,
-    nu_gap_matrix,
-    plant_gap,
-    plant_gaps,
-    score,
-    score_orders,
-    spans_of,
-    twin_response,
+from twinmatch.comparing import Candidate, Family, SimoModel
+from twinmatch.dynamics import Plant, PlantError
+from twinmatch.signals import OperatingPoint, Window, point_of, point_values
+from twinmatch.twin.family_scores import (
+    UNSCORED,
+    FamilyComparison,
+    FamilyMember,
+    FamilyScores,
+    NewestWindow,
 )
-from twinmatch.dynamics import Parameters, Plant, PlantError
-from twinmatch.fitting import ORDERS
-from twinmatch.signals import FloatArray, OperatingPoint, Window, point_of, point_values
 from twinmatch.twin.forecaster import Forecaster
 from twinmatch.twin.settings import TwinSettings
 from twinmatch.twin.structure_fits import StructureFits, watched
 
-
-class FamilyScores(NamedTuple):
-    """The scores of all candidates; the fields are those of a verdict."""
-
-    candidates: tuple[CandidateScore, ...]
-    nominal: str | None
-    order: str | None
-    nu_gap: tuple[tuple[float, ...], ...]
-    nu_gap_points: tuple[float, ...]
-    identified_gap: tuple[tuple[float, ...], ...]
-    certainty: str
-
-
-_NO_ORDERS: Final = "orders and code lengths are for plants with one loop"
-UNSCORED: Final = FamilyScores((), None, None, (), (), (), "")
-
-
-@dataclass(frozen=True, eq=False)
-class _Member:
-    """A match of the family with the models of its twin and their scores, computed once on admission."""
-
-    candidate: Candidate
-    window: Window
-    models: dict[str, SimoModel]
-    orders: tuple[OrderScore, ...]
-    chosen_order: str
-
-
 FamilyModels = Mapping[tuple[str, int, int], tuple[SimoModel, ...]]
 """Box–Jenkins models of the twins of a family, one per order, by name of the candidate and by first and last
 sample of its score."""
-
-
-class _NewestWindow(NamedTuple):
-    """The newest window that was scored, and the model identified on it."""
-
-    window: Window
-    model: SimoModel | None
-    """None: the plant has several loops."""
-    plant_now: Parameters | None
-    """Parameters of the plant fitted to the newest samples, if that was possible."""
 
 
 def name_at(point: OperatingPoint, plant: type[Plant]) -> str:
@@ -122,18 +65,13 @@ class CandidatePool:
         )
         self.scores: FamilyScores | None = None
         """The newest scores; None before the first."""
-        self._single = plant.single
         widths = point_of([settings.regime_width * unit for unit in settings.units])
         self._family = Family(settings.most_candidates, widths)
-        self._members: dict[str, _Member] = {}
+        self._comparison = FamilyComparison(settings)
+        self._members: dict[str, FamilyMember] = {}
         self._successors: dict[str, str] = {}
         """By name of a match that was admitted since `enter` the one whose regime it took over."""
-        self._newest: _NewestWindow | None = None
-        self._reached: tuple[FloatArray, FloatArray] | None = None
-        """Lowest and highest levels of all scored windows; see `_points`."""
-        self._loop = LoopConditions(
-            law, spans_of(plant), settings.schedule.span, period
-        )
+        self._newest: NewestWindow | None = None
         self._remembered = tuple(remembered)
         self.estranged = ""
         """Why the memory of earlier sessions was left; empty if it was not."""
@@ -156,7 +94,7 @@ class CandidatePool:
         models = {}
         for name, member in self._members.items():
             if member.models:
-                key = (name, *_samples_of(member))
+                key = (name, *member.samples)
                 models[key] = tuple(member.models.values())
         return models
 
@@ -173,34 +111,12 @@ class CandidatePool:
         before = self._family.standing_at(candidate.operating_point)
         if before is not None:
             self._successors[candidate.name] = before.name
-        member = self._member(candidate, window)
+        member = self._comparison.member(candidate, window)
         leaving = self._family.admit(candidate)
         if leaving is not None:
             self._members.pop(leaving.name)
         self._members[candidate.name] = member
         return f"candidate {candidate.name} matched on samples {window.first} to {window.last}"
-
-    def _member(self, candidate: Candidate, window: Window) -> _Member:
-        """A match with its twin's models; a plant of several loops has none."""
-        settings = self._settings
-        if not self._single:
-            return _Member(candidate, window, {}, (), "")
-        seed = settings.seed + window.first
-        response = twin_response(
-            candidate.parameters, window, settings.law, settings.sensor, seed
-        )
-        models = {
-            m.order: m
-            for m in identify(
-                response, scale=settings.model_scale, lead=settings.schedule.lead
-            )
-        }
-        measured = window.part(response.first, response.last)
-        absolute = settings.plant.output.absolute
-        orders = score_orders(
-            list(models.values()), measured, settings.decimals, absolute=absolute
-        )
-        return _Member(candidate, window, models, orders, choose_order(orders))
 
     def enter(self) -> None:
         """Pass all candidates to the forecaster: the structures, the matches, newest first, and the
@@ -260,7 +176,7 @@ class CandidatePool:
             if self.empty:
                 self.scores = UNSCORED
             else:
-                model = self._model(self._newest.window)
+                model = self._comparison.model_of(self._newest.window, self._in_order)
                 self.scores = self._score_all(self._newest._replace(model=model))
         return gone
 
@@ -271,7 +187,8 @@ class CandidatePool:
             TwinmatchError: no model can be identified on it.
         """
         plant_now = self.structures.plant_now()
-        self._newest = _NewestWindow(window, self._model(window), plant_now)
+        model = self._comparison.model_of(window, self._in_order)
+        self._newest = NewestWindow(window, model, plant_now)
         self.scores = self._score_all(self._newest)
 
     def score_leader(self) -> None:
@@ -284,173 +201,19 @@ class CandidatePool:
         if self._newest is not None and names and self.forecaster.leader not in names:
             self.scores = self._score_all(self._newest)
 
-    def _model(self, window: Window) -> SimoModel | None:
-        """Model of a measured window, of the order chosen by most members, in which all are compared.
+    @property
+    def _in_order(self) -> list[FamilyMember]:
+        """The members of the family, in its order."""
+        return [self._members[c.name] for c in self._family.candidates]
 
-        It is reached through the lower orders like all others.
-
-        Raises:
-            FittingError: set-point or input does not move, or there are too few samples.
-        """
-        if not self._single:
-            return None
-        order = common_order(
-            [self._members[c.name].chosen_order for c in self._family.candidates]
-        )
-        orders = ORDERS[: ORDERS.index(order) + 1]
-        settings = self._settings
-        return identify(
-            window, orders, scale=settings.model_scale, lead=settings.schedule.lead
-        )[-1]
-
-    def _score_all(self, newest: _NewestWindow) -> FamilyScores:
+    def _score_all(self, newest: NewestWindow) -> FamilyScores:
         """The scores of the family, and beside it of the structure with the best forecasts."""
         fitted = {c.name: c for c in (*self.structures.candidates, *self._remembered)}
         best = self.forecaster.standings.best_of(fitted)
         beside = [] if best is None else [fitted[best]]
         try:
-            return self._compare(newest, beside)
+            return self._comparison.compare(newest, self._in_order, beside)
         except PlantError:
             if not any(candidate.parameters.model.is_external for candidate in beside):
                 raise
-            return self._compare(newest, [])
-
-    def _compare(
-        self, newest: _NewestWindow, beside: Sequence[Candidate]
-    ) -> FamilyScores:
-        """Compare all candidates with one another and with the plant, and choose the nominal one.
-
-        Structures beside the family (the paper's) have no Box–Jenkins models.
-        """
-        window, plant, plant_now = newest
-        family = [self._members[c.name] for c in self._family.candidates]
-        candidates = [*self._family.candidates, *beside]
-        points = self._points(window)
-        loop = self._loop
-        count = len(family)
-        gaps = plant_gaps([c.parameters for c in candidates], points, loop)
-        gaps_to_plant = [
-            None
-            if plant_now is None
-            else plant_gap(c.parameters, plant_now, points, loop)
-            for c in candidates
-        ]
-        distances = gaps.matrix[:, :count].sum(axis=1).tolist()
-        bare_scores = [
-            _bare_score(*arguments)
-            for arguments in zip(candidates, distances, gaps_to_plant, strict=True)
-        ]
-        scores = tuple(
-            _with_orders(bare_score, member)
-            for bare_score, member in zip(bare_scores[:count], family, strict=True)
-        )
-        identified = np.zeros((0, 0))
-        if plant is not None:
-            scores, identified = self._with_models(scores, family, window, plant)
-        nominal = nominal_of(scores)
-        all_scores = (*scores, *bare_scores[count:])
-        twins = candidates[:count]
-        certainty = judge_uncertainty(
-            all_scores,
-            twins,
-            gaps.of(count),
-            nominal,
-            loop,
-            plant=plant_now,
-            seed=self._settings.seed,
-        )
-        return FamilyScores(
-            candidates=certainty.candidates,
-            nominal=nominal,
-            order=plant.order if plant else None,
-            nu_gap=_rows(gaps.matrix),
-            nu_gap_points=tuple(chain.from_iterable(map(point_values, gaps.points))),
-            identified_gap=_rows(identified),
-            certainty=certainty.certainty
-            if plant
-            else f"{certainty.certainty}; {_NO_ORDERS}",
-        )
-
-    def _with_models(
-        self,
-        scores: Sequence[CandidateScore],
-        family: Sequence[_Member],
-        window: Window,
-        plant: SimoModel,
-    ) -> tuple[tuple[CandidateScore, ...], FloatArray]:
-        """The scores with what the twins' models of the plant's order say, and the ν-gaps between these."""
-        decimals = self._settings.decimals
-        absolute = self._settings.plant.output.absolute
-        models = [member.models[plant.order] for member in family]
-        gaps = nu_gap_matrix([m.symbol for m in models])
-        modelled = tuple(
-            replace(
-                bare_score,
-                newest=score(model, window, decimals, absolute=absolute).total,
-                identified_gap_sum=float(row.sum()),
-                identified_gap_to_plant=nu_gap(model.symbol, plant.symbol),
-            )
-            for bare_score, model, row in zip(scores, models, gaps, strict=True)
-        )
-        return modelled, gaps
-
-    def _points(self, newest: Window) -> tuple[OperatingPoint, ...]:
-        """Operating points at which plants are compared: the family's, and the lowest and the highest
-        set-points of all scored windows; where the loop is not known, the lowest and the highest outputs at
-        the end of a window."""
-        levels = newest.references
-        if self._settings.law is None:
-            settled = newest.outputs[-self._settings.schedule.min_span :].T
-            levels = np.array([[y.mean() for y in settled]])
-        if self._reached is not None:
-            levels = np.vstack([levels, *self._reached])
-        lowest = levels.min(axis=0)
-        highest = levels.max(axis=0)
-        self._reached = lowest, highest
-        points = {candidate.operating_point for candidate in self._family.candidates}
-        return tuple(
-            sorted(points | {point_of(lowest), point_of(highest)}, key=point_values)
-        )
-
-
-def _samples_of(member: _Member) -> tuple[int, int]:
-    """First and last sample to which a member of the family was fitted; of a given one the last is before the
-    first, where its window begins."""
-    window = member.window
-    last = window.last if member.candidate.window else window.first - 1
-    return window.first, last
-
-
-def _with_orders(score: CandidateScore, member: _Member) -> CandidateScore:
-    """The score of a member of the family, with its samples and what its orders have."""
-    first, last = _samples_of(member)
-    return replace(
-        score,
-        first=first,
-        last=last,
-        orders=member.orders,
-        chosen_order=member.chosen_order,
-    )
-
-
-def _bare_score(
-    candidate: Candidate, distance: float, gap_to_plant: float | None
-) -> CandidateScore:
-    """The scores of a candidate of any structure, without those for which its twin needs a model."""
-    first, last = candidate.samples
-    return CandidateScore(
-        name=candidate.name,
-        operating_point=candidate.operating_point,
-        parameters=candidate.parameters,
-        first=first,
-        last=last,
-        orders=(),
-        chosen_order="",
-        nu_gap_sum=distance,
-        newest=None,
-        nu_gap_to_plant=gap_to_plant,
-    )
-
-
-def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(row) for row in matrix.tolist())
+            return self._comparison.compare(newest, self._in_order, [])

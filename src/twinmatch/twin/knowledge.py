@@ -22,7 +22,8 @@ from twinmatch.comparing import (
 from twinmatch.defects import Defect
 from twinmatch.dynamics import Parameters
 from twinmatch.health import SLOW, Fault, Health
-from twinmatch.twin.candidates import UNSCORED, CandidatePool
+from twinmatch.twin.candidates import CandidatePool
+from twinmatch.twin.family_scores import UNSCORED
 from twinmatch.twin.mirror import Residuals
 from twinmatch.twin.trust import BandCheck, BandHistory
 
