@@ -108,6 +108,52 @@ def test_a_named_frozen_sensor_that_moves_again_has_not_drifted(seed: int) -> No
     assert alarm.last == 2000
 
 
+@pytest.mark.parametrize("seed", [500, 501])
+def test_a_sensor_is_back_however_badly_its_loop_was_known_without_it(
+    seed: int,
+) -> None:
+    """For five minutes its loop drives its heater to 100 %, and the estimate errs by more than its band; the reading
+    moves by 30 °C to near there when the sensor is right again."""
+    (alarm,) = watched(seed, "sensor-slips.2@1550+300", 1900).alarms
+    assert alarm.fault is Fault.SENSOR_DRIFT
+    assert alarm.last is not None
+    assert 1850 <= alarm.last <= 1850 + SOON
+
+
+@pytest.mark.parametrize("kind", ["sensor-slips", "sensor-drifts"])
+def test_of_both_sensors_that_run_away_none_is_named_or_read_through(kind: str) -> None:
+    alarms, farthest_estimate = watched(502, f"{kind}@1500+100", 1750)
+    (alarm,) = alarms
+    assert alarm.fault is Fault.DRIFT
+    assert 1500 < alarm.flagged <= 1500 + SOON
+    assert "temperature T1 and temperature T2 have moved at once" in alarm.reason
+    assert "none is read through" in alarm.reason
+    assert farthest_estimate == 0.0
+    assert alarm.last is not None
+    assert 1600 <= alarm.last <= 1600 + SOON
+
+
+@pytest.mark.parametrize("seed", [501, 503, 504])
+def test_a_frozen_sensor_is_named_when_it_moves_again_at_the_latest(seed: int) -> None:
+    """Its loop rested, so that nothing showed for five minutes; then its reading seemed to be off, for good."""
+    (alarm,) = watched(seed, "sensor-frozen.2@1300+300", 1800).alarms
+    assert (alarm.fault, alarm.signal) == (Fault.SENSOR_FROZEN, "second_temperature")
+    assert alarm.last == alarm.flagged == 1600
+    assert "moved then to where the twin expected it" in alarm.reason
+
+
+def test_a_sensor_that_is_off_after_it_has_stood_for_long_was_not_frozen() -> None:
+    """Its loop rests, and its display stands; then its reading moves away from where it is expected."""
+    (alarm,) = watched(501, "sensor-offset.2@1345", 1365).alarms
+    assert (alarm.fault, alarm.signal) == (Fault.SENSOR_DRIFT, "second_temperature")
+
+
+def test_a_frozen_sensor_is_named_whatever_began_while_it_stood() -> None:
+    """The estimate that shows it began after the sensor had frozen, as something else was learned meanwhile."""
+    alarms = watched(104, "sensor-frozen.2@1700", 2100).alarms
+    assert [alarm.fault for alarm in alarms] == [Fault.SENSOR_FROZEN]
+
+
 def test_steps_of_a_reading_are_jumps_and_do_not_run_away() -> None:
     movement = NewestMovement(second=1.0)
     values = [40.0] * 30 + [35.0] * 30
@@ -144,9 +190,30 @@ def test_a_movement_is_compared_with_the_farthest_of_the_plant(
 
 def test_a_plant_that_cools_down_to_a_lying_sensor_does_not_bring_it_back() -> None:
     slow = WayBack(second=1.0)
-    assert not any(slow.take(25.0 * np.exp(-k / 180.0), 1.0) for k in range(1500))
+    cools = 21.0 + 25.0 * np.exp(-np.arange(1500) / 180.0)
+    assert not any(slow.take(21.0, expected, 1.0, 0.8) for expected in cools)
     quick = WayBack(second=1.0)
-    away = [quick.take(25.0, 1.0) for _ in range(60)]
-    back = [quick.take(0.5, 1.0) for _ in range(20)]
+    away = [quick.take(21.0, 46.0, 1.0, 0.8) for _ in range(60)]
+    back = [quick.take(45.5, 46.0, 1.0, 0.8) for _ in range(20)]
     assert not any(away)
     assert back.index(True) == 9
+
+
+def test_a_reading_is_back_if_a_small_share_is_left_of_how_far_it_was_off() -> None:
+    """Its estimate errs by more than its band, as the plant has gone where nobody saw it."""
+    way_back = WayBack(second=1.0)
+    away = [way_back.take(21.0, 75.0, 2.0, 0.8) for _ in range(60)]
+    back = [way_back.take(79.0, 75.0, 2.0, 0.8) for _ in range(20)]
+    assert not any(away)
+    assert back.index(True) == 9
+
+
+def test_a_reading_is_back_that_follows_its_plant_for_long() -> None:
+    """The plant had cooled down to where the sensor lied; what tells is that both rise together."""
+    way_back = WayBack(second=1.0)
+    rests = [way_back.take(21.0, 21.5, 1.0, 0.8) for _ in range(600)]
+    rises = 21.0 + 0.1 * np.arange(120)
+    follows = [way_back.take(reading, reading + 0.5, 1.0, 0.8) for reading in rises]
+    assert not any(rests)
+    assert any(follows)
+    assert rises[follows.index(True)] > 25.0

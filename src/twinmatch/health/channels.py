@@ -217,9 +217,9 @@ class ChannelMonitor:
             self._raise(Fault.SENSOR_IMPLAUSIBLE, best, [best])
             # no filter has taken such readings: the newest is best
             self._unbelieved.read_through(output, 0)
+        self._name_frozen_until_now()
         self._judge_jumps(self.competition.jumped(_NAMING.confirm - 1))
-        for output in self.competition.run_away(_NAMING.confirm):
-            self._name_run_away(output)
+        self._judge_run_away(self.competition.run_away(_NAMING.confirm))
         self._end_run_away()
         suspects = self._lost_and_weak(self.competition.suspects())
         self.suspects = [suspect for suspect in suspects if self._counts(suspect)]
@@ -233,12 +233,47 @@ class ChannelMonitor:
         newest = self._said.newest
         since = self._index if newest is None else newest.first
         if self._unbelieved.settle(lying, since, self._index):
-            self._lie_ended = self._index
-            self._begin = self._index + 1
-            self._wait_anew()
+            self._begin_again_behind_a_lie()
+
+    def _name_frozen_until_now(self) -> None:
+        """Name sensors that have moved again, and by that show that they were frozen; forget what they showed."""
+        for output, value in enumerate(self._values.tolist()):
+            born = self.competition.frozen_until_now(output, value)
+            is_free = self.on is None or (
+                self.on.fault is Fault.DRIFT and not self._is_of_several
+            )
+            if born is None or not is_free:
+                continue
+            row = ChangeRow((Fault.SENSOR_FROZEN, output), "")
+            best = Suspect(row.cause, CHANGE, row, 0.0, 0.0, born, -1)
+            reason = self.sentences.was_frozen(output, self._index - self._begin - born)
+            self._raise(Fault.SENSOR_FROZEN, best, [best], reason=reason)
+            self._said.end(self._index)
+            self.competition.forget_since(output, born)
+            self._begin_again_behind_a_lie()
+
+    def _begin_again_behind_a_lie(self) -> None:
+        """Readings of a sensor are taken again from the next sample on, as after a gap."""
+        self._lie_ended = self._index
+        self._begin = self._index + 1
+        self._restart_waiting()
+
+    def _judge_run_away(self, outputs: list[int]) -> None:
+        """Name a sensor whose reading has moved farther than its plant can; of several at once, say that it is not
+        known what is wrong."""
+        if len(outputs) == 1:
+            self._name_run_away(outputs[0])
+        elif outputs:
+            first = self._index + 1 - round(RUNNING.lasts * self.competition.second)
+            born = max(first - self._begin, 0)
+            self._raise_at_once(
+                outputs, first, self.sentences.ran_away_at_once(outputs)
+            )
+            for output in outputs:
+                self._unbelieved.leave_out_run_away(output, born)
+            self._restart_waiting()
 
     def _name_run_away(self, output: int) -> None:
-        """Name a sensor whose reading has moved farther than its plant can."""
         competition = self.competition
         lasted = round(RUNNING.lasts * competition.second)
         born = max(competition.count - lasted, 0)
@@ -252,9 +287,9 @@ class ChannelMonitor:
             reason=self.sentences.ran_away(output, moved),
         )
         self._unbelieved.leave_out_run_away(output, born)
-        self._wait_anew()
+        self._restart_waiting()
 
-    def _wait_anew(self) -> None:
+    def _restart_waiting(self) -> None:
         """Have every cause lead, or wait for a name, from now on."""
         self._leads = (None, 0)
         self._unnamed = 0
@@ -262,8 +297,16 @@ class ChannelMonitor:
     def _end_run_away(self) -> None:
         """End the alarms of readings that had run away, and are back."""
         for output in self._unbelieved.back(self._values):
-            if self._said.is_on(Fault.SENSOR_DRIFT, output):
+            is_of_several = (
+                self._is_of_several and not self._unbelieved.any_has_run_away
+            )
+            if is_of_several or self._said.is_on(Fault.SENSOR_DRIFT, output):
                 self._said.end(self._index)
+
+    @property
+    def _is_of_several(self) -> bool:
+        """Whether the alarm that is on says that several sensors are wrong at once."""
+        return self.on is not None and not self.on.suspects
 
     def _judge_jumps(self, outputs: list[int]) -> None:
         """Report readings that have jumped at once, or that such a jump is over.
@@ -298,7 +341,8 @@ class ChannelMonitor:
             NamedChange(Fault.DRIFT, rows[output], before, jumps[output])
             for output in outputs
         )
-        self._raise_jumps(outputs)
+        first = self._index - _NAMING.confirm + 1
+        self._raise_at_once(outputs, first, self.sentences.jumped(outputs))
         self._standing.expect_back()
 
     def _row_of_jump(self, output: int) -> ChangeRow:
@@ -309,9 +353,8 @@ class ChannelMonitor:
             if row.cause == cause and not row.slowly
         )
 
-    def _raise_jumps(self, outputs: list[int]) -> None:
-        signal, reason = self.sentences.jumped(outputs)
-        first = self._index - _NAMING.confirm + 1
+    def _raise_at_once(self, outputs: list[int], first: int, reason: str) -> None:
+        """Begin an alarm of several sensors at once, of which none is named."""
         alarm = ChannelAlarm(
             Fault.DRIFT,
             first,
@@ -319,7 +362,7 @@ class ChannelMonitor:
             None,
             reason,
             True,
-            signal,
+            self.sentences.signal_of(outputs[0]),
             size=math.nan,
             rivals=(),
             suspects=(),
@@ -394,7 +437,7 @@ class ChannelMonitor:
             or suspects[0].evidence < CHANGE
             or competition.count < _NAMING.start * competition.second
         ):
-            self._wait_anew()
+            self._restart_waiting()
             return
         named = [suspect for suspect in suspects if suspect.cause[0] is not Fault.DRIFT]
         if named and named[0].evidence > suspects[0].evidence - LEAD:
@@ -458,6 +501,8 @@ class ChannelMonitor:
         if on.fault is Fault.DISTURBANCE:
             return self._index - on.flagged > _PASSING.shown * self.competition.second
         if self._standing.jumped:
+            return False
+        if self._is_of_several and self._unbelieved.any_has_run_away:
             return False
         return on.fault is Fault.DRIFT and (not suspects or suspects[0].evidence < 0.0)
 
@@ -640,7 +685,7 @@ class ChannelMonitor:
                 self._raise(fault, best, suspects)
                 self.competition.sensors[signal].is_accused = True
                 self._unbelieved.leave_out(signal, best.born)
-                self._wait_anew()
+                self._restart_waiting()
             return
         if fault is Fault.DRIFT:
             self._wait_for_a_name(best, suspects)
@@ -656,7 +701,7 @@ class ChannelMonitor:
     def _adopt(self, best: Suspect) -> None:
         """Take a change for how the plant is from now on."""
         self.competition.adopt(best)
-        self._wait_anew()
+        self._restart_waiting()
         self._standing.expect_back()
 
     def _raise(

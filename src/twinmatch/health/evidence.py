@@ -346,16 +346,18 @@ class Competition:
         return runs_away(moved, (float(falls[output]), float(rises[output])), noise)
 
     def run_away(self, samples: int) -> list[int]:
-        """Outputs whose readings have run away for so many samples, which the equations forecast well before."""
+        """Outputs whose readings have run away for so many samples, which the equations forecast well before; with
+        one, those that begin to."""
         if self.known < _FOLLOWING.rehearsed:
             return []
         variance = np.array([sensor.variance for sensor in self.sensors])
         knows = self.healthy.forecasts.skill.knows(variance)
-        return [
-            output
+        lasted = {
+            output: lasted
             for output, lasted in enumerate(self._runs_away)
-            if lasted >= samples and knows[output] and output not in self.untaken
-        ]
+            if lasted > 0 and knows[output] and output not in self.untaken
+        }
+        return [*lasted] if max(lasted.values(), default=0) >= samples else []
 
     def leave_out(self, output: int) -> None:
         """Have no filter take the readings of an output that is read through, and have all forget what they have
@@ -516,7 +518,7 @@ class Competition:
         places = np.flatnonzero(is_interesting).tolist()
         suspects = [self._suspect(place) for place in places]
         for output, sensor in enumerate(self.sensors):
-            evidence = self._evidence_of_frozen(sensor)
+            evidence = self._evidence_of_frozen(sensor.frozen)
             if evidence >= _INTERESTING:
                 row = ChangeRow((Fault.SENSOR_FROZEN, output), "")
                 born = self.count - sensor.repeats
@@ -556,10 +558,10 @@ class Competition:
         slowly = row.slowly * healthy.scale
         return min((self.count - born) * healthy.period / slowly, 1.0)
 
-    def _evidence_of_frozen(self, sensor: LearnedSensor) -> float:
-        """Evidence that a sensor is frozen, nats beyond its price."""
+    def _evidence_of_frozen(self, frozen: float) -> float:
+        """Evidence that a sensor is frozen, nats beyond its price, of what its repeats say for that."""
         moments = math.log(HOUR * self.second)
-        return sensor.frozen - moments - self._price_of_hour
+        return frozen - moments - self._price_of_hour
 
     @property
     def crossing(self) -> float:
@@ -575,6 +577,43 @@ class Competition:
             self.count - 1 - sensor.repeats, output, value, sensor.variance
         )
         return missed or self.rehearsals[output].missed(sensor.repeats, value)
+
+    def frozen_until_now(self, output: int, value: float) -> int | None:
+        """Since which sample, counted from the last gap, a sensor was frozen that has moved again at this reading;
+        None if it was not, or if that does not show.
+
+        It has stood for longer than it usually does, and moves to where it is expected by an estimate that does not
+        use it. A sensor that is off from now on moves away from there. An estimate that began while it stood is
+        nearer to where it stood than to where the plant is, if anything.
+        """
+        sensor = self.sensors[output]
+        run = sensor.ended_run
+        estimator = self.rehearsals[output].newest
+        if run is None or estimator is None or self._is_jump_of_others(output):
+            return None
+        least = RUNNING.noises * max(sensor.noise, self._model.noise[output])
+        if self._evidence_of_frozen(run.frozen) < 0.0 or abs(value - run.value) < least:
+            return None
+        off = abs(value - estimator.estimate.value)
+        is_expected = off <= least or not estimator.is_missed_by(value)
+        is_nearer = off < abs(run.value - estimator.estimate.value)
+        return self.count - 1 - run.repeats if is_expected and is_nearer else None
+
+    def _is_jump_of_others(self, output: int) -> bool:
+        """Whether another reading than that of an output has jumped in this sample: then both have one cause."""
+        return any(
+            sensor.jump.age == 0 and sensor.jump.size != 0.0
+            for other, sensor in enumerate(self.sensors)
+            if other != output
+        )
+
+    def forget_since(self, output: int, since: int) -> None:
+        """Forget what the readings of an output have taught since a sample, counted from the last gap, and take them
+        again: all filters continue from an estimate that has not used them."""
+        estimator = self.rehearsals[output].newest
+        if estimator is not None:
+            self.healthy.continue_from(estimator.belief)
+        self.take_again(output, self.believed_before(since))
 
     def read_through(self, output: int, since: int) -> None:
         """Estimate an output without its sensor from now on.

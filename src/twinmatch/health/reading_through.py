@@ -25,6 +25,8 @@ class _Bands(Rule):
 
     far: float = 3.0
     """Bands beyond which an estimate was missed: five standard deviations."""
+    untried: float = 2.0
+    """Times as far, where no fresh reading has shown what the estimate is worth."""
     strays: float = 4.0
     """How far an estimate usually strays within the longest but one of these ages, in the sensor's noise."""
     prior: float = 2.0
@@ -125,6 +127,10 @@ class ReadThrough:
             )
         return longest
 
+    def is_missed_by(self, value: float) -> bool:
+        """Whether a reading is farther off from the estimate than that usually errs."""
+        return self.bands_off(value) > _BANDS.far
+
     def bands_off(self, value: float) -> float:
         """By how many bands a reading is off from the estimate."""
         expected, band = self.estimate
@@ -156,6 +162,8 @@ class Rehearsal:
     def drop(self) -> None:
         """Forget the one that is on: something else than its error may have come into it."""
         self.on: ReadThrough | None = None
+        self.newest: ReadThrough | None = None
+        """The one that took the newest sample, which may be over with it."""
         self._bands_when_fresh = math.nan
         """By how many of its bands it was off when the sensor's newest fresh reading came."""
         self._began_early = False
@@ -165,10 +173,12 @@ class Rehearsal:
         """Begin one; `early`: the plant is not known well yet. What such a one shows counts only until a
         later one is over: the errors that it has made are made no longer."""
         self.on = estimate
+        self.newest = estimate
         self._began_early = early
 
     def push(self, reading: Reading, variance: float, output: int) -> None:
         """Take a sample of all outputs, and the variance of the noise of this one."""
+        self.newest = self.on
         if self.on is None:
             return
         of_others = np.arange(reading.seen.size) != output
@@ -189,7 +199,9 @@ class Rehearsal:
                 self._squares[has_samples] / self._samples[has_samples]
             )
             self.counts += has_samples
+            newest = self.on
             self.drop()
+            self.newest = newest
         elif reading.seen[output]:
             self._squares[age] += max(
                 (reading.y[output] - self.on.estimate.value) ** 2 - variance, 0.0
@@ -197,14 +209,16 @@ class Rehearsal:
             self._samples[age] += 1.0
 
     def missed(self, since: int, value: float) -> bool:
-        """Whether this reading, which has been repeated for so many samples, is far from an estimate that is
-        older.
+        """Whether this reading, which has been repeated for so many samples, is far from the estimate.
 
         An estimate counts for what it was worth when the reading was fresh: the more of its standard
-        deviations it was off by then, the farther it has to be off now.
+        deviations it was off by then, the farther it has to be off now. One that began later has shown nothing, and
+        began nearer to where the reading stands than the plant was, if anything.
         """
-        if self.on is None or self.on.samples <= since:
+        if self.on is None:
             return False
+        if self.on.samples <= since:
+            return self.on.bands_off(value) > _BANDS.untried * _BANDS.far
         deviations_when_fresh = _Z * self._bands_when_fresh
         return self.on.bands_off(value) > _BANDS.far * max(deviations_when_fresh, 1.0)
 

@@ -37,6 +37,9 @@ class _Running(Rule):
     """Bands of its estimate that a reading may be off when it is back."""
     off: float = 2.0
     """Times its tolerance that it was off before it came back."""
+    left: float = 0.2
+    """Share of how far it was off shortly before that may be left when it has come back: an estimate errs by a share
+    of how far the plant has gone since, and bands are those of a plant that was held."""
 
 
 RUNNING: Final = _Running()
@@ -102,15 +105,49 @@ class WayBack:
         """Begin while it is away; `second`: samples in a second of a plant as fast as the rig."""
         self._returns = max(1, round(RUNNING.returns * second))
         self._stays = max(1, round(RUNNING.lasts * second))
-        self._is_far = deque[bool](maxlen=self._returns)
-        self._samples_back = 0
+        self._newest_off = deque[float](maxlen=self._returns)
+        self._readings_near: list[float] = []
+        """Those since it has not been off."""
+        self._samples_of_share = 0
+        """For how many samples only a small share has been left of how far it was off."""
 
-    def take(self, off: float, tolerance: float) -> bool:
-        """Take by how much a reading is off from its estimate, and how much of that says nothing; whether it is
-        back: it was far off shortly before, and has not been off since for a while."""
-        self._is_far.append(abs(off) > RUNNING.off * tolerance)
-        self._samples_back = self._samples_back + 1 if abs(off) <= tolerance else 0
-        return self._samples_back >= self._stays and any(self._is_far)
+    def take(
+        self, reading: float, expected: float, tolerance: float, least: float
+    ) -> bool:
+        """Take a reading and its estimate, how far it may be off from that, and how far noise takes it, all in its
+        unit; whether it is back.
+
+        It was far off shortly before, and has not been off since for a while, or by a small share of that only. Or
+        it has not been off for longer, and has gone farther meanwhile than one does that stands where the plant
+        happens to be.
+        """
+        off = abs(reading - expected)
+        self._newest_off.append(off)
+        farthest = max(self._newest_off)
+        self._readings_near.append(reading)
+        if off > tolerance:
+            self._readings_near = []
+        is_share = off <= RUNNING.left * farthest
+        self._samples_of_share = self._samples_of_share + 1 if is_share else 0
+        return (
+            self._has_come_near(farthest, tolerance)
+            or self._has_come(farthest, least)
+            or self._has_followed(tolerance)
+        )
+
+    def _has_come_near(self, farthest: float, tolerance: float) -> bool:
+        is_near = len(self._readings_near) >= self._stays
+        return is_near and farthest > RUNNING.off * tolerance
+
+    def _has_come(self, farthest: float, least: float) -> bool:
+        stays = self._samples_of_share >= self._stays
+        return stays and farthest > RUNNING.off * least
+
+    def _has_followed(self, tolerance: float) -> bool:
+        if len(self._readings_near) < self._returns:
+            return False
+        gone = max(self._readings_near) - min(self._readings_near)
+        return gone > 2.0 * RUNNING.off * tolerance
 
 
 def runs_away(moved: float, farthest: tuple[float, float], noise: float) -> bool:

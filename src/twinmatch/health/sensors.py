@@ -44,6 +44,16 @@ class Jump(NamedTuple):
         return self.size != 0.0 and abs(self.since) < _MOVES_ON * abs(self.size)
 
 
+class RunOfRepeats(NamedTuple):
+    """A run of repeats of one reading that has ended."""
+
+    value: float
+    """The reading that was repeated, in its unit."""
+    repeats: int
+    frozen: float
+    """What they said for a frozen sensor, nats."""
+
+
 class RunLengths:
     """How long a sensor usually repeats a reading, from its runs of repeats that have ended.
 
@@ -119,6 +129,8 @@ class LearnedSensor:
         """What they say for a frozen sensor, nats."""
         self.is_accused = False
         """Whether this run of repeats is that of a frozen sensor, which is not how it usually reads."""
+        self.ended_run: RunOfRepeats | None = None
+        """The run of repeats that ended with the newest reading; None if none did."""
         self.jump = Jump(0, 0.0)
         """The newest movement in one sample that is far from how the reading usually moves."""
 
@@ -161,6 +173,7 @@ class LearnedSensor:
 
     def learn(self, value: float, counts: bool, gained: float, expected: float) -> None:
         """Learn of this reading, whose log-probability was `gained`; the equations expected another one."""
+        self.ended_run = None
         if self.repeated:
             usually = self.run_lengths.continues(self.repeats)
             healthy = max(gained, math.log(usually)) if usually > 0.0 else gained
@@ -169,6 +182,8 @@ class LearnedSensor:
         elif counts:
             if not self.is_accused and not math.isnan(self._before):
                 self.run_lengths.take(self.repeats)
+            if self.repeats:
+                self.ended_run = RunOfRepeats(self._before, self.repeats, self.frozen)
             self.is_accused = False
             self.repeats = 0
             self.frozen = 0.0

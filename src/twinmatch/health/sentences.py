@@ -217,16 +217,31 @@ class FaultSentences:
         name, declared = self._concerned(cause)
         return TRAITS[cause[0]].suspect.format(name=declared.text or name)
 
-    def jumped(self, outputs: list[int]) -> tuple[str, str]:
-        """Name of the first of the outputs whose readings have jumped at once, and a sentence."""
+    def signal_of(self, output: int) -> str:
+        """Name of an output in the plant file."""
+        name, _ = self._outputs[output]
+        return name
+
+    def _all_of(self, outputs: list[int]) -> str:
+        """Some outputs in words."""
         names = [
             output.text or name for name, output in (self._outputs[i] for i in outputs)
         ]
-        reason = (
-            f"the readings of {' and '.join(names)} jumped at once, and the samples do not tell which of "
+        return " and ".join(names)
+
+    def jumped(self, outputs: list[int]) -> str:
+        """A sentence on outputs whose readings have jumped at once."""
+        return (
+            f"the readings of {self._all_of(outputs)} jumped at once, and the samples do not tell which of "
             "them is right: look at what the sensors share, such as their supply; none is read through"
         )
-        return self._outputs[outputs[0]][0], reason
+
+    def ran_away_at_once(self, outputs: list[int]) -> str:
+        """A sentence on outputs whose readings have moved at once, farther than their plant can."""
+        return (
+            f"the readings of {self._all_of(outputs)} have moved at once, farther than the plant can: look at what "
+            "the sensors share, such as their supply, and whether they sit where they should; none is read through"
+        )
 
     def ran_away(self, output: int, moved: float) -> str:
         """A sentence on an output whose reading has moved farther than its plant can."""
@@ -241,6 +256,14 @@ class FaultSentences:
     def blind(reason: str) -> str:
         """A sentence on a sensor, where none is left by which it could be read through."""
         return f"{reason}; no sensor is right, so none can be read through"
+
+    def was_frozen(self, output: int, samples: int) -> str:
+        """A sentence on an output that has repeated one reading, and moves again where it is expected."""
+        name, declared = self._outputs[output]
+        return (
+            f"{declared.text or name} repeated one reading for {samples * self._period:g} s, and moved then to where "
+            f"the twin expected it: look at the {declared.sensor}"
+        )
 
     def said(
         self, fault: Fault, best: Suspect, share: float, rivals: tuple[str, ...]

@@ -47,6 +47,11 @@ class UnbelievedSensors:
         """Whether none is left if this output is read through as well."""
         return len({*self._competition.through, output}) == len(self._outputs)
 
+    @property
+    def any_has_run_away(self) -> bool:
+        """Whether a reading has run away, and is not back."""
+        return bool(self._ways_back)
+
     def has_run_away(self, output: int) -> bool:
         """Whether the reading of an output has run away, and is not back."""
         return output in self._ways_back
@@ -78,8 +83,9 @@ class UnbelievedSensors:
                 continue
             expected, band = self._competition.through[output].estimate
             _, declared = self._outputs[output]
-            tolerance = max(RUNNING.bands * band, RUNNING.noises * declared.noise)
-            if way_back.take(float(values[output]) - expected, tolerance):
+            least = RUNNING.noises * declared.noise
+            tolerance = max(RUNNING.bands * band, least)
+            if way_back.take(float(values[output]), expected, tolerance, least):
                 del self._ways_back[output]
                 back.append(output)
         return back
