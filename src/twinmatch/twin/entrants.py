@@ -17,7 +17,8 @@ import numpy as np
 from twinmatch.comparing import BASELINES, Candidate, ForecastScore
 from twinmatch.dynamics import Foresight, Law
 from twinmatch.forecasting import Calibration, Ledger, StateFilter
-from twinmatch.forecasting.outlook import foresight_of
+from twinmatch.forecasting.outlook import deviations, foresight_of
+from twinmatch.signals import FloatArray
 
 _SKILLS: Final = tuple(
     f"{name}_skill{end}" for end in ("", "_high") for name in BASELINES
@@ -32,6 +33,21 @@ class Entrant:
     candidate: Candidate
     state_filter: StateFilter
     calibration: Calibration = field(repr=False)
+
+    def learn(
+        self, sizes: FloatArray, variances: FloatArray, before: int, widths: FloatArray
+    ) -> None:
+        """Have its bands learn from one forecast, at the leads after `before`, samples.
+
+        Args:
+            sizes: |error| of the signals at N samples ahead, shape (signals, N); NaN where a sample was lost.
+            variances: those that it expected of all of its signals, outputs first.
+            before: lead up to which they have learned from this forecast already.
+            widths: half widths of its bands when it was made, in standard deviations, shape (signals, L).
+        """
+        expected = deviations(self.candidate.parameters.model, variances)
+        quotients = sizes / expected[: len(sizes)]
+        self.calibration.learn(quotients, before, widths)
 
 
 class Entrants(dict[str, Entrant]):

@@ -25,7 +25,6 @@ from twinmatch.forecasting import (
     StateFilter,
     leads_of,
 )
-from twinmatch.forecasting.outlook import deviations
 from twinmatch.signals import FloatArray, Sample, Signals, finite, rms
 from twinmatch.twin.entrants import Entrant, Entrants, Standings
 from twinmatch.twin.settings import ForecastSettings
@@ -515,11 +514,11 @@ class Forecaster:
             return
         self._catch_up()
         rows_since = self._rows[-ahead - 1 :]
-        previous_horizon = max(
+        before = max(
             (horizon for horizon in self.horizons if horizon < ahead), default=0
         )
         is_received = rows_since[1:, -1] > 0.0
-        if not is_received[previous_horizon:].any():
+        if not is_received[before:].any():
             return
         conditions = self._conditions(rows_since)
         signals = ledger.noise.size
@@ -530,17 +529,12 @@ class Forecaster:
         errors = measured - means.reshape(-1, signals, ahead)
         for error, (name, forecast) in zip(errors, forecasts.items(), strict=True):
             if name in banded:
-                twin = self._twins[name]
-                widths = deviations(
-                    twin.candidate.parameters.model, forecast.variances
-                )[:signals]
-                quotients = np.abs(error) / widths
-                quotients[:, ~is_received] = np.nan
-                twin.calibration.learn(
-                    quotients, previous_horizon, departure.widths[name]
+                sizes = np.where(is_received, np.abs(error), np.nan)
+                self._twins[name].learn(
+                    sizes, forecast.variances, before, departure.widths[name]
                 )
         received = np.flatnonzero(is_received)
-        new = received[received >= previous_horizon]
+        new = received[received >= before]
         baselines = measured - departure.arx.referees(*conditions)[:, :signals]
         ledger.add(tuple(forecasts), errors[:, :, new], baselines[:, :, new], number)
         self.standings = Standings(self._twins, ledger, self.horizons)
