@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import accumulate, pairwise, starmap
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
@@ -27,6 +26,7 @@ from twinmatch.forecasting import (
 )
 from twinmatch.signals import FloatArray, Sample, Signals, finite, rms
 from twinmatch.twin.entrants import Entrant, Entrants, Standings
+from twinmatch.twin.sample_rows import SampleRows
 from twinmatch.twin.settings import ForecastSettings
 from twinmatch.twin.trust import BandCheck, LeaderConfidence, check_band
 
@@ -154,9 +154,8 @@ class Forecaster:
         self._waiting: list[tuple[Sample, Signals]] = []
         """Samples, each with what the law was given as its outputs."""
         self._controller = np.zeros(0)
-        self._rows = np.zeros((0, 0))
-        """Set-points, outputs, inputs, disturbances of the recent samples, and whether they were seen, one
-        sample per row, without those that are waiting."""
+        self._rows: SampleRows | None = None
+        """Those of the recent samples, without the ones that are waiting; None before the first."""
         self._followers = Followers()
         self._begin()
         self._arx = Arx(law, float(np.exp(-period / self.settings.memory)))
@@ -260,26 +259,32 @@ class Forecaster:
         samples = [sample for sample, _ in self._waiting]
         outputs_taken = np.array([taken for _, taken in self._waiting])
         self._waiting = []
-        new_rows = np.array([_row_of(sample) for sample in samples])
-        if not finite(new_rows):
-            bad = samples[int(np.argmin(np.isfinite(new_rows).all(axis=1)))].index
+        new_rows = SampleRows.of(samples)
+        if not finite(new_rows.values):
+            is_finite = np.isfinite(new_rows.values).all(axis=1)
+            bad = samples[int(np.argmin(is_finite))].index
             raise PlantError(f"forecaster: sample {bad} has a value that is not finite")
-        rows = np.concatenate([self._rows, new_rows]) if self._rows.size else new_rows
-        self._rows = rows[-(self._recent.maxlen or 1) :]
+        most = self._recent.maxlen or 1
+        self._rows = (
+            new_rows.newest(most)
+            if self._rows is None
+            else self._rows.followed_by(new_rows, most)
+        )
         if self._law is not None:
-            references, _, inputs, _ = self._columns
-            for row, outputs in zip(new_rows, outputs_taken, strict=True):
+            for references, outputs, inputs in zip(
+                new_rows.references, outputs_taken, new_rows.inputs, strict=True
+            ):
                 self._controller = self._law.follow(
-                    self._controller, row[references], outputs, row[inputs]
+                    self._controller, references, outputs, inputs
                 )
         self._followers.push(
             [self._twins[name].state_filter for name in self._twins.native], samples
         )
 
-    @property
-    def _columns(self) -> tuple[slice, ...]:
-        """Those of set-points, outputs, inputs and disturbances."""
-        return tuple(starmap(slice, pairwise(accumulate((0, *self._recent[-1].shape)))))
+    def _newest_rows(self, count: int) -> SampleRows:
+        """The newest so many rows, once all samples have been taken; there is at least one."""
+        assert self._rows is not None  # noqa: S101
+        return self._rows.newest(count)
 
     def _departure(self) -> _Departure:
         """What forecasts from the newest sample need."""
@@ -419,21 +424,20 @@ class Forecaster:
         self._catch_up()
         departure = self._departures[old_enough[-1]]
         outlook = departure.outlooks[departure.leader]
-        rows_since = self._rows[old_enough[-1] - newest - 1 :]
+        rows_since = self._newest_rows(newest - old_enough[-1] + 1)
         try:
             forecast = outlook.forecast(*self._conditions(rows_since))
         except PlantError:
             if not outlook.parameters.model.is_external:
                 raise
             return None
-        rows = rows_since[-samples:]
-        is_received = rows[:, -1] > 0.0
+        rows = rows_since.newest(samples)
+        is_received = rows.is_received
         if not is_received.any():
             return None
-        _, outputs, inputs, _ = self._columns
-        measured_inputs = None if self._law is None else rows[:, inputs].T
+        measured_inputs = None if self._law is None else rows.inputs.T
         counted = None if is_received.all() else is_received
-        return check_band(forecast, rows[:, outputs].T, measured_inputs, counted)
+        return check_band(forecast, rows.outputs.T, measured_inputs, counted)
 
     @contextmanager
     def _removing_lost(self, name: str) -> Iterator[None]:
@@ -451,14 +455,14 @@ class Forecaster:
                 }
             )
 
-    def _conditions(self, rows_since: FloatArray) -> _Conditions:
+    def _conditions(self, rows_since: SampleRows) -> _Conditions:
         """What forecasts are made for, from the rows of the sample they depart from and of those after it."""
-        references, _, inputs, disturbances = self._columns
-        ahead = np.ascontiguousarray(
-            rows_since[1:, inputs if self._law is None else references]
+        given = rows_since.inputs if self._law is None else rows_since.references
+        disturbances = np.ascontiguousarray(rows_since.disturbances)
+        return _Conditions(
+            ahead=np.ascontiguousarray(given[1:]),
+            disturbances=disturbances if disturbances.size else None,
         )
-        disturbance_rows = np.ascontiguousarray(rows_since[:, disturbances])
-        return _Conditions(ahead, disturbance_rows if disturbance_rows.size else None)
 
     def _begin(self) -> None:
         """Start over, also after a gap; what was learned stays."""
@@ -466,7 +470,7 @@ class Forecaster:
         self._waiting.clear()
         self._departures.clear()
         self._learned.clear()
-        self._rows = self._rows[:0]
+        self._rows = None
         self._controller = np.zeros(0 if self._law is None else self._law.n_states)
         for twin in self._twins.values():
             twin.state_filter.restart()
@@ -513,16 +517,16 @@ class Forecaster:
         if ledger is None or self._spoilt(sample, sample + ahead):
             return
         self._catch_up()
-        rows_since = self._rows[-ahead - 1 :]
+        rows_since = self._newest_rows(ahead + 1)
         before = max(
             (horizon for horizon in self.horizons if horizon < ahead), default=0
         )
-        is_received = rows_since[1:, -1] > 0.0
+        is_received = rows_since.is_received[1:]
         if not is_received[before:].any():
             return
         conditions = self._conditions(rows_since)
         signals = ledger.noise.size
-        measured = self._measured(rows_since, signals)
+        measured = np.ascontiguousarray(rows_since.signals(signals).T)[:, 1:]
         banded = departure.widths.keys() & self._twins.keys()
         forecasts = self._forecasts(departure, conditions, banded)
         means = np.array([forecast.means[:signals] for forecast in forecasts.values()])
@@ -542,12 +546,6 @@ class Forecaster:
             error_sizes = rms(rms(errors[:, :, received], ledger.noise[:, None]))
             of_leader = error_sizes[list(forecasts).index(departure.leader)]
             self._leader_confidence.add(float(of_leader), float(error_sizes.min()))
-
-    def _measured(self, rows_since: FloatArray, signals: int) -> FloatArray:
-        """The forecast signals of the N samples after the first of these rows, shape (signals, N)."""
-        first = self._columns[1].start
-        by_signal = np.ascontiguousarray(rows_since[:, first : first + signals].T)
-        return by_signal[:, 1:]
 
     def _forecasts(
         self, departure: _Departure, conditions: _Conditions, banded: Collection[str]
@@ -584,17 +582,6 @@ def forecast_noise(plant: type[Plant], law: Law | None) -> FloatArray:
     if law is not None:
         noise += [drive.noise for drive in plant.drives.values()]
     return np.array(noise)
-
-
-def _row_of(sample: Sample) -> tuple[float, ...]:
-    """Set-points, outputs, inputs, disturbances of a sample, and whether it was received."""
-    return (
-        *sample.references,
-        *sample.outputs,
-        *sample.inputs,
-        *sample.disturbances,
-        sample.seen,
-    )
 
 
 def _check_name(name: str | None, candidates: Mapping[str, object]) -> str:
