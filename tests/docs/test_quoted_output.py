@@ -102,31 +102,24 @@ def _in_greenwich(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("_in_greenwich")
-@pytest.mark.parametrize("name", ["forecast", "experiment"])
-def test_what_a_page_quotes_of_the_sample_session_is_printed(name: str) -> None:
-    runs = quoted_runs(DOCS / f"{name}.md")
-    assert runs
-    for (program, *arguments), quoted in runs:
-        assert program == "twinmatch"
-        completed = run_twinmatch(*arguments, folder=PROJECT)
-        assert completed.returncode == 0, completed.stderr
-        assert missing_lines(quoted, completed.stdout.splitlines()) == [], arguments
-
-
-def test_a_newcomer_is_led_to_a_pid_as_the_page_says(tmp_path: Path) -> None:
-    page = DOCS / "newcomer.md"
-    [recorder] = re.findall(
-        r"^```python record\.py\n(.*?)^```",
+@pytest.mark.parametrize("name", ["controllers", "experiment", "forecast", "newcomer"])
+def test_what_a_page_quotes_is_printed(name: str, tmp_path: Path) -> None:
+    """In a folder with the files of the page and the sample session."""
+    page = DOCS / f"{name}.md"
+    for file, content in re.findall(
+        r"^```(?:python|json) (\w+\.\w+)\n(.*?)^```",
         page.read_text(encoding="utf-8"),
         re.DOTALL | re.MULTILINE,
-    )
-    (tmp_path / "record.py").write_text(recorder, encoding="utf-8")
+    ):
+        (tmp_path / file).write_text(content, encoding="utf-8")
+    (tmp_path / "bags").symlink_to(PROJECT / "bags")
     runs = quoted_runs(page)
-    assert len(runs) == 5
+    assert runs
     for (program, *arguments), quoted in runs:
         if program == "python":
             subprocess.run([sys.executable, *arguments], cwd=tmp_path, check=True)
         else:
+            assert program == "twinmatch"
             completed = run_twinmatch(*arguments, folder=tmp_path)
             assert completed.returncode == 0, completed.stderr
             assert missing_lines(quoted, completed.stdout.splitlines()) == [], arguments

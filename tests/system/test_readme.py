@@ -269,7 +269,9 @@ def law(folder: Path) -> None:
     """The example of docs/controllers.md with three quarters of its gains: the session of these tests is shorter
     than that page's, and leaves more open."""
     text = (PROJECT / "docs" / "controllers.md").read_text("utf-8")
-    example = re.search(r"^```json\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    example = re.search(
+        r"^```json doubled\.json\n(.*?)^```", text, re.DOTALL | re.MULTILINE
+    )
     assert example
     gains = json.loads(example[1])
     for name in ("proportional", "integral", "derivative"):
