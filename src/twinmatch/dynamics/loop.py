@@ -447,16 +447,19 @@ class LinearLaw(Law):
         r = self.E.shape[1]
         width = q + p + r + 1 + m
         begin = LOW + 2 * m
+        corners = {
+            "C": (0, 0),
+            "D": (0, q),
+            "E": (0, q + p),
+            "A": (m, 0),
+            "B": (m, q),
+            "F": (m, q + p),
+        }
         places = {}
-        for row, first, names in ((0, m, "CDE"), (m, q, "ABF")):
-            for name, column, count in zip(
-                names, (0, q, q + p), (q, p, r), strict=True
-            ):
-                for i in range(first):
-                    for j in range(count):
-                        places[f"{name}[{i},{j}]"] = (
-                            begin + (row + i) * width + column + j
-                        )
+        for name, (row, column) in corners.items():
+            for i, j in np.ndindex(getattr(self, name).shape):
+                place = begin + (row + i) * width + column + j
+                places[f"{name}[{i},{j}]"] = place
         return places
 
     @property
