@@ -36,7 +36,8 @@ from twinmatch.controllers import (
     next_experiment,
     try_controller,
 )
-from twinmatch.controllers.next_experiment import LEAD, ExperimentSearch, _root
+from twinmatch.controllers.experiment_search import ExperimentSearch
+from twinmatch.controllers.learning_goals import LEAD
 from twinmatch.dynamics import Law, Plant, advance, begin, law_of, pids_of, readings
 from twinmatch.plants import Peltier, TCLab
 from twinmatch.signals import FloatArray, Sample
@@ -238,7 +239,7 @@ def learned(
     assert twin.covariance is not None
     search = ExperimentSearch([twin], asked.found.goal, asked.found.terms)
     seen = search.run(Contender(twin), outputs, inputs)
-    root = _root(Contender(twin))
+    root = Contender(twin).root
     n = len(root)
     start = np.array([twin.parameters[name] for name in twin.free])
     moved = np.zeros(seen.slopes.shape[2])

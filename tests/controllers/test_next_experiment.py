@@ -22,12 +22,10 @@ from twinmatch.controllers import (
     goal_named,
     next_experiment,
 )
-from twinmatch.controllers.next_experiment import (
-    ENOUGH,
-    NEARLY,
-    ExperimentSearch,
-    maximal_sequence,
-)
+from twinmatch.controllers.courses import maximal_sequence
+from twinmatch.controllers.experiment_search import ExperimentSearch
+from twinmatch.controllers.learning_goals import ENOUGH
+from twinmatch.controllers.next_experiment import NEARLY
 from twinmatch.dynamics import (
     Drive,
     Equations,

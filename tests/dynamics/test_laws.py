@@ -297,3 +297,31 @@ def lqg_with(**changes: Array) -> LinearLaw:
         "shift": np.zeros(4), "low": np.zeros(2), "high": np.ones(2),
     }  # fmt: skip
     return LinearLaw(**{**arguments, **changes})
+
+
+def test_the_places_of_a_linear_laws_entries_are_those_in_its_code() -> None:
+    """Two commands, three states, four readings and one set-point: no two matrices have the same shape by chance."""
+    random = np.random.default_rng(7)
+    m, q, p, r = 2, 3, 4, 1
+    matrices = {
+        "A": random.normal(size=(q, q)),
+        "B": random.normal(size=(q, p)),
+        "C": random.normal(size=(m, q)),
+        "D": random.normal(size=(m, p)),
+        "E": random.normal(size=(m, r)),
+        "F": random.normal(size=(q, r)),
+    }
+    law = LinearLaw(
+        **matrices,
+        G=random.normal(size=(q, m)),
+        offset=random.normal(size=m),
+        shift=random.normal(size=q),
+        low=np.full(m, -1.0),
+        high=np.full(m, 1.0),
+    )
+    entries = {
+        f"{name}[{i},{j}]": matrix[i, j]
+        for name, matrix in matrices.items()
+        for i, j in np.ndindex(matrix.shape)
+    }
+    assert {name: law.code[place] for name, place in law.GAINS.items()} == entries

@@ -16,6 +16,8 @@ from twinmatch.controllers.answer import (
     levels_words,
     try_controller,
 )
+from twinmatch.controllers.courses import ExperimentTerms, Staircase
+from twinmatch.controllers.experiment_search import CourseWorth
 from twinmatch.controllers.guarantee import Guarantee
 from twinmatch.controllers.law_document import (
     gains_from,
@@ -23,17 +25,16 @@ from twinmatch.controllers.law_document import (
     pid_document,
     suited,
 )
-from twinmatch.controllers.members import Holding, TriedTwin
-from twinmatch.controllers.next_experiment import (
+from twinmatch.controllers.learning_goals import (
     GOALS,
     Contender,
-    CourseWorth,
-    ExperimentTerms,
     LearningGoal,
-    NextExperiment,
-    Staircase,
-    characters_by,
     goal_named,
+)
+from twinmatch.controllers.members import Holding, TriedTwin
+from twinmatch.controllers.next_experiment import (
+    NextExperiment,
+    characters_by,
     next_experiment,
 )
 from twinmatch.controllers.responses import CourseFigure

@@ -18,7 +18,9 @@ from twinmatch.controllers import (
     goal_named,
     next_experiment,
 )
-from twinmatch.controllers.next_experiment import LEAD, LEAST, MIN_COURSE, NEARLY
+from twinmatch.controllers.courses import MIN_COURSE
+from twinmatch.controllers.learning_goals import LEAD
+from twinmatch.controllers.next_experiment import LEAST, NEARLY
 from twinmatch.errors import TwinmatchError
 from twinmatch.signals import FloatArray, Sample
 from twinmatch.twin.experiment import ExperimentPhase, ExperimentReport, Wish
