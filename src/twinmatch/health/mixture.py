@@ -16,7 +16,7 @@ import numpy as np
 from twinmatch.dynamics import Model, Parameters
 from twinmatch.dynamics.bank import BankConstants, BankMembers, weigh
 from twinmatch.dynamics.pace import plant_scale, slow_scale
-from twinmatch.dynamics.simulation import advance, begin, readings
+from twinmatch.dynamics.simulation import advance_long, begin, readings
 from twinmatch.dynamics.tracker import Assumed
 from twinmatch.health.faults import HOUR
 from twinmatch.health.linear_rival import LinearRival
@@ -429,7 +429,7 @@ class HealthyMixture:
         driven[drive] += (limits[1] - rest[drive]) * share
         period = _EFFECT_SHOWS * self.scale
         ends = [
-            readings(parameters, advance(parameters, states, inputs, period))
+            readings(parameters, advance_long(parameters, states, inputs, period))
             for inputs in (driven, rest)
         ]
         return np.asarray(ends[0] - ends[1])
@@ -465,7 +465,7 @@ class HealthyMixture:
         states = belief[: self._n]
         shown = [readings(parameters, states)]
         for _ in range(math.ceil(since / lasts)):
-            states = advance(parameters, states, inputs, lasts * self.scale)
+            states = advance_long(parameters, states, inputs, lasts * self.scale)
             shown.append(readings(parameters, states))
         return np.diff(np.array(shown), axis=0)
 
