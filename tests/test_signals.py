@@ -15,12 +15,23 @@ from twinmatch.signals import (
     Sample,
     SignalError,
     Window,
+    decimals_of_time,
     joined,
     rms,
     stretches,
     unbroken,
 )
 from twinmatch.units import UnitError, conversion, measure
+
+
+@pytest.mark.parametrize(
+    ("period", "text"),
+    [(60.0, "60"), (1.0, "1"), (0.5, "0.5"), (0.02, "0.02"), (2e-5, "0.00002")],
+)
+def test_times_are_written_so_that_samples_are_told_apart(
+    period: float, text: str
+) -> None:
+    assert f"{period:.{decimals_of_time(period)}f}" == text
 
 
 def samples(*indices: int) -> list[Sample]:

@@ -37,6 +37,7 @@ __all__ = [
     "Window",
     "column_of",
     "counted",
+    "decimals_of_time",
     "finite",
     "incomplete",
     "joined",
@@ -424,6 +425,11 @@ class Window:
     def share_seen(self) -> float:
         """Share of its samples that were received."""
         return 1.0 if self.seen is None else float(np.mean(self.seen))
+
+
+def decimals_of_time(period: float) -> int:
+    """Decimals with which the times of neighbouring samples differ, s; none from a period of 1 s on."""
+    return max(0, math.ceil(-math.log10(period)))
 
 
 def column_of(signals: FloatArray, k: int) -> FloatArray:

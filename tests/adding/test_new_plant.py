@@ -810,6 +810,8 @@ def test_a_recording_of_several_loops_is_checked_over_all_of_them() -> None:
     )
     checked = check_data(session, Heaters)
     noise, left_over = [finding.what for finding in checked.findings]
+    advice = checked.findings[1].todo
+    assert "declare noise=0.2:" in advice
     assert (
         left_over
         == "over the whole recording, the best of the structures leaves 0.59 °C of second"
@@ -823,6 +825,23 @@ def test_a_recording_of_several_loops_is_checked_over_all_of_them() -> None:
     # readings, and what is left after six tenths of a time constant of the second one's error adds to the first.
     assert residuals == pytest.approx([1.0, 6.0], rel=0.1)
     assert float(lines["apart"].split("(")[1].split(" ")[0]) > 10.0
+
+
+def test_advice_on_the_noise_is_not_given_again_once_it_is_followed() -> None:
+    """A third of what is left is 0.147, of which one digit was 0.1, the noise that was declared already."""
+    truth = Heaters.model().parameters()
+    random = np.random.default_rng(5)
+    u = np.repeat(random.uniform(0.0, 60.0, (20, 2)), 50, axis=0)
+    y = simulate_driven(truth, u, states=begin(truth, [23.0, 23.0]), period=2.0).outputs
+    y += 0.44 * random.standard_normal(y.shape)
+    run = samples_of(Window(np.zeros_like(u), y, u, period=2.0))
+    session = session_of(
+        Path("two.csv"), tuple(run), plant=Heaters.name, has_reference=False
+    )
+    findings = check_data(session, Heaters).findings
+    todos = [finding.todo for finding in findings if "leaves" in finding.what]
+    advised = [float(todo.partition("noise=")[2].split(":")[0]) for todo in todos]
+    assert advised == pytest.approx([0.147, 0.147], rel=0.06)
 
 
 @pytest.mark.parametrize("name", [FIRST, SECOND])
@@ -898,3 +917,26 @@ def test_a_twin_that_is_matched_and_of_no_use_is_a_finding(
     assert "the twin is of no use at the end" in said
     assert "worse than a linear model without physics (ARX)" in said
     assert "an effect is missing in the equations, such as an oscillation" in said
+
+
+def test_a_plant_of_microseconds_is_read_back_as_it_was_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A converter, sampled every 20 µs: the map, the configuration, and the times that are said."""
+    random = np.random.default_rng(1)
+    duty = np.repeat(random.choice([0.2, 0.8], 20), 60)
+    volts = lfilter([0.0, 0.05], [1.0, -0.95], 24.0 * duty)
+    volts += 0.02 * random.normal(size=duty.size)
+    rows = zip(0.02 * np.arange(duty.size), volts, duty, strict=True)
+    lines = [f"{t:.2f},{y:.2f},{u:g}" for t, y, u in rows]
+    monkeypatch.chdir(tmp_path)
+    Path("log.csv").write_text("\n".join(["t_ms,Vout (V),duty", *lines]) + "\n")
+    assert main(["new-plant", "converter", "--from", "log.csv"]) == 0
+    mapped = ["--map-file", "converter_map.yaml"]
+    assert main(["check-plant", "converter.py", "--data", "log.csv", *mapped]) == 0
+    arguments = ["import", "log.csv", *mapped, "--plant", "converter.py"]
+    assert main([*arguments, "-o", "session"]) == 0
+    assert "one every 2e-05 s, 0.02400 s of Converter" in capsys.readouterr().out
+    settings_text = ["--plant", "converter.py", "--config", "converter.yaml"]
+    assert main(["replay", "session", *settings_text]) == 0
+    assert "\n0.0" in capsys.readouterr().out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 
 import numpy as np
@@ -22,6 +23,7 @@ from twinmatch.dynamics import (
     State,
     Structure,
     advance,
+    advance_long,
     begin,
     linearised,
     read,
@@ -272,6 +274,24 @@ def test_an_observer_finds_the_state_no_sensor_shows() -> None:
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)
 
 
+class Quick(Plant, name="quick"):
+    """A lag that may be far shorter than what is asked about it."""
+
+    y = Output(unit="m", noise=0.01, span=(-100.0, 100.0))
+    u = Drive(unit="V", limits=(-10.0, 10.0), noise=0.1)
+    x = State(unit="m", span=(-50.0, 50.0))
+    lag = Parameter(unit="s", default=0.1, bounds=(1e-4, 10.0), positive=True)
+    structures = {"lag": Structure(free=("lag",))}  # noqa: RUF012
+
+    def equations(self, parts: frozenset[str]) -> Equations:  # noqa: ARG002
+        """One line."""
+        return Equations(
+            rates={self.x: (2.0 * self.u - self.x) / self.lag},
+            output=self.x,
+            start={self.x: self.y},
+        )
+
+
 class Positioner(Plant, name="positioner"):
     """A motor behind a slow amplifier; its speed is in °/s, hundreds of times the volts."""
 
@@ -308,6 +328,19 @@ def test_steps_follow_time_constants_whatever_the_units_of_the_states(
     have a modulus of 31.6 1/s, 2.6 steps, which a norm of the balanced matrix bounds within a factor of two.
     Norms of the matrix as it stands, with its 2000 °/s²/V, ask for 167."""
     assert Positioner.model().parameters(back=back).steps(0.005) == steps
+
+
+def test_a_time_that_is_too_long_for_one_call_is_passed_in_parts() -> None:
+    """A lag of 1 ms after 10 s: at rest, and a plant that one call can simulate gives the same bits as that call."""
+    quick = Quick.model().parameters(lag=1e-3)
+    with pytest.raises(PlantError, match="too short for a period of 10 s"):
+        advance(quick, np.zeros(1), 3.0, 10.0)
+    assert advance_long(quick, np.zeros(1), 3.0, 10.0)[0] == pytest.approx(6.0, 1e-9)
+    slow = quick.replace(lag=4.0)
+    after_call = advance(slow, np.zeros(1), 3.0, 10.0)
+    assert advance_long(slow, np.zeros(1), 3.0, 10.0).tolist() == after_call.tolist()
+    with pytest.raises(PlantError, match="finite and positive"):
+        advance_long(slow, np.zeros(1), 3.0, math.nan)
 
 
 @given(st.integers(1, 5), st.integers(0, 2**32 - 1))

@@ -181,6 +181,32 @@ HOSTILE = {
 }
 
 
+NUMBERS = {"2e-05": 2e-5, "2e5": 2e5, ".5e+3": 500.0, "-1E-3": -1e-3, "1.5e3": 1500.0}
+
+
+@pytest.mark.parametrize("text", NUMBERS)
+def test_numbers_with_an_exponent_are_numbers_in_files_that_people_write(
+    text: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "map.yaml"
+    path.write_text(f"period: {text}\n")
+    assert read_yaml(path) == {"period": NUMBERS[text]}
+
+
+@pytest.mark.parametrize("text", ["'2e-05'", "2e", "e5", "12e4x", "0x1e5z"])
+def test_what_only_resembles_a_number_with_an_exponent_is_text(
+    text: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "map.yaml"
+    path.write_text(f"plant: {text}\n")
+    assert read_yaml(path) == {"plant": text.strip("'")}
+
+
+def test_texts_of_programs_that_look_like_such_numbers_stay_texts() -> None:
+    """PyYAML writes them without quotes."""
+    assert parse_yaml(yaml.safe_dump({"name": "2e-05"}), "file") == {"name": "2e-05"}
+
+
 @pytest.mark.parametrize("name", HOSTILE)
 def test_what_would_do_harm_is_refused_in_one_line(name: str) -> None:
     text, message = HOSTILE[name]

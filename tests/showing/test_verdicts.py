@@ -59,7 +59,7 @@ def cells(text: str) -> list[str]:
 def test_every_figure_stands_below_its_name_and_the_reason_below_them() -> None:
     line, reason = line_text(LED, 0.5).splitlines()
     assert dict(zip(cells(header_text()), cells(line), strict=True)) == {
-        "t / s": "150",
+        "t / s": "150.0",
         "level": "trusted",
         "decided": "yes",
         "order": "22221",
@@ -394,7 +394,7 @@ OVER = {"stretches": (LOST, LevelStretch(401, 500, TRUSTED))}
         (
             {**SINCE, "period": 0.5},
             "Leader: match at 50 °C; do not trust it now: the plant shows drive-lost "
-            f"(its forecasts held {HELD}). Faults: drive-lost from 155 to 200 s; drive-lost since 155 s.",
+            f"(its forecasts held {HELD}). Faults: drive-lost from 155.0 to 200.0 s; drive-lost since 155.0 s.",
         ),
         (
             {**SINCE, "range": None, "stretches": ()},

@@ -153,6 +153,32 @@ def fermenter(samples: int = 3000) -> Recorded:
     return Recorded(360.0, np.round(states + noise, 2), inputs)
 
 
+def aeration_basin(samples: int = 3000) -> Recorded:
+    """Oxygen, which a blower moves within minutes, and ammonia, which follows the day, of an activated sludge basin
+    with Monod kinetics (as in Henze et al. 2000), mg/L and %, one a minute. The load is not in the table."""
+    random = np.random.default_rng(14)
+    minutes = np.arange(3000)
+    inflow = 300.0 + 120.0 * np.sin(2.0 * np.pi * minutes / 1440.0)
+    blower = levels(random, 3000, 90, 15.0, 95.0)
+    given = np.column_stack([np.round(blower), inflow / 20000.0])[:samples]
+
+    def rates(x: FloatArray, u: FloatArray) -> FloatArray:
+        oxygen, ammonia = x
+        transfer = 0.0108 * u[0] ** 0.7
+        nitrified = 0.055 * ammonia / (1.0 + ammonia) * oxygen / (0.5 + oxygen)
+        respired = 0.27 * oxygen / (0.2 + oxygen)
+        per_minute = [
+            transfer * (9.0 - oxygen) - 4.3 * nitrified - respired - u[1] * oxygen,
+            u[1] * (14.0 - 0.5 * ammonia) - 3.0 * nitrified,
+        ]
+        return np.array(per_minute) / 60.0
+
+    states = driven(rates, [2.0, 3.0], given, 60.0, 3)
+    noise = np.array([0.03, 0.05]) * random.normal(size=(3000, 2))[:samples]
+    shown = np.round((states + noise) / [0.01, 0.1]) * [0.01, 0.1]
+    return Recorded(60.0, shown, given[:, :1])
+
+
 def evaporator(samples: int = 600) -> Recorded:
     """Level, m, concentration, %, and pressure, kPa, of an evaporator (Newell and Lee 1989), one a minute.
 

@@ -7,7 +7,19 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from twinmatch.dynamics import Parameters, begin, simulate_closed_loop, simulate_window
+from twinmatch.dynamics import (
+    Drive,
+    Equations,
+    Output,
+    Parameter,
+    Parameters,
+    Plant,
+    State,
+    Structure,
+    begin,
+    simulate_closed_loop,
+    simulate_window,
+)
 from twinmatch.fitting import FittingError
 from twinmatch.plants import Peltier
 from twinmatch.signals import Window
@@ -113,6 +125,58 @@ def test_a_frozen_sensor_is_judged_without_a_warning() -> None:
         Window(window.reference, frozen, window.input), ALL, thorough=False
     )
     assert all(np.isfinite(score.off) for score in choice.scores)
+
+
+class Walled(Plant, name="walled"):
+    """A lag with, perhaps, a wall beside it."""
+
+    parts = ("wall",)
+    y = Output(unit="K", noise=0.05, span=(-100.0, 100.0))
+    u = Drive(unit="W", limits=(0.0, 10.0), noise=0.1)
+    x = State(unit="K", span=(-50.0, 50.0))
+    wall = State(unit="K", span=(-50.0, 50.0))
+    gain = Parameter(unit="K/W", default=2.0, bounds=(0.1, 10.0), positive=True)
+    lag = Parameter(unit="s", default=50.0, bounds=(5.0, 500.0), positive=True)
+    share = Parameter(unit="", default=1.0, bounds=(0.0, 100.0), least=0.0)
+    wall_lag = Parameter(unit="s", default=100.0, bounds=(10.0, 1000.0), positive=True)
+    structures = {  # noqa: RUF012
+        "plain": Structure(free=("gain", "lag")),
+        "wall": Structure(
+            free=("gain", "lag", "share", "wall_lag"), parts=frozenset({"wall"})
+        ),
+    }
+
+    def equations(self, parts: frozenset[str]) -> Equations:
+        """One store or two."""
+        rates = {self.x: (self.gain * self.u - self.x) / self.lag}
+        start = {self.x: self.y}
+        if "wall" in parts:
+            rates[self.x] += self.share * (self.wall - self.x) / self.lag
+            rates[self.wall] = (self.x - self.wall) / self.wall_lag
+            start[self.wall] = self.y
+        return Equations(rates=rates, output=self.x, start=start)
+
+
+@pytest.mark.parametrize("seed", [0, 3, 4])
+def test_an_effect_that_was_fitted_as_none_is_not_chosen(seed: int) -> None:
+    """A plant whose heater has a lag of its own, and no wall: the fits differ by as little as searches end beside
+    each other, in every block in the same direction."""
+    random = np.random.default_rng(seed)
+    command = np.repeat(random.choice([0.0, 10.0], 60), 20)
+    heater = 0.0
+    warmth = 0.0
+    warmths = []
+    for u in command:
+        warmths.append(warmth)
+        heater += (u - heater) / 40.0
+        warmth += (2.0 * heater - warmth) / 50.0
+    readings = np.array(warmths) + 0.05 * random.normal(size=command.size)
+    window = Window(np.zeros(command.size), readings, command)
+    choice = choose_structure(
+        window, list(map(Walled.model, Walled.structures)), law=None
+    )
+    assert choice.of("wall").parameters["share"] < 1e-6
+    assert choice.chosen == "plain"
 
 
 def test_nothing_to_choose_from_is_refused() -> None:

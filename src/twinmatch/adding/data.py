@@ -243,7 +243,7 @@ def _of_what_is_left(least: tuple[float, ...], plant: type[Plant]) -> Iterator[F
         if residual > _NOISE_RULE.unexplained * output.noise:
             of_output = f" of {output.name}" if len(plant.outputs) > 1 else ""
             size = f"{residual:.2g} {output.unit}".rstrip()
-            noise = float(f"{residual / _NOISE_RULE.part:.1g}")
+            noise = float(f"{residual / _NOISE_RULE.part:.2g}")
             yield Finding(
                 f"over the whole recording, the best of the structures leaves {size}{of_output}",
                 f"if errors of that size are good enough for you, declare noise={noise:g}: errors of fits "
@@ -314,10 +314,8 @@ def _accepted(matches: tuple[MatchReport, ...]) -> list[str]:
         if name in last.parameters and math.isfinite(error)
     )
     shown = "; ".join(filter(None, (values, f"fit {last.fit.y:.1%}")))
-    return [
-        f"{len(good)} of {len(matches)} matches were accepted; the last: {shown}",
-        last.determined,
-    ]
+    accepted = f"{len(good)} of {len(matches)} matches were accepted; the last: {shown}"
+    return [accepted, *filter(None, [last.determined])]
 
 
 class _LoopRule(Rule):

@@ -346,6 +346,19 @@ class Model:
             raise PlantError(
                 f"{self.title}: the period is {period} s; it must be finite and positive"
             )
+        count = self._step_count(vector, period)
+        if count > self.kernels.MAX_STEPS:
+            raise PlantError(
+                f"{self.title}: its shortest time constant is too short for a period of {period:g} s; "
+                f"a sample would take more than {self.kernels.MAX_STEPS} steps"
+            )
+        return count
+
+    def can_step(self, vector: FloatArray, period: float) -> bool:
+        """Whether the plant with these parameters is slow enough for samples of this period, s."""
+        return bool(self._step_count(vector, period) <= self.kernels.MAX_STEPS)
+
+    def _step_count(self, vector: FloatArray, period: float) -> int:
         kernels = self.kernels
         count = kernels.step_count(
             vector,
@@ -355,11 +368,6 @@ class Model:
             float(period),
             kernels.RATE_LIMIT,
         )
-        if not count <= self.kernels.MAX_STEPS:
-            raise PlantError(
-                f"{self.title}: its shortest time constant is too short for a period of {period:g} s; "
-                f"a sample would take more than {self.kernels.MAX_STEPS} steps"
-            )
         return int(count)
 
     @cached_property
@@ -473,6 +481,10 @@ class Parameters(Mapping[str, float]):
         if period not in self._steps:
             self._steps[period] = self.model.steps(self.vector, period)
         return self._steps[period]
+
+    def can_step(self, period: float) -> bool:
+        """Whether the plant with these parameters is slow enough for samples of this period, s."""
+        return self.model.can_step(self.vector, period)
 
     @property
     def units(self) -> tuple[str, ...]:

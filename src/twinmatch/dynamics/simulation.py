@@ -22,6 +22,8 @@ from twinmatch.dynamics.plant import Parameters, Plant
 from twinmatch.dynamics.sensor import Sensor, SensorRealisation
 from twinmatch.signals import FloatArray, Window, column_of, finite, only
 
+_MOST_PARTS: Final = 4096
+"""Most parts of a time for which a plant is simulated at once; each may take 2000 steps."""
 SKIPPED = 2
 """A closed-loop twin starts at a window's third sample, where the controller's state is known."""
 
@@ -219,6 +221,28 @@ def advance(
         parameters.vector, states, u, row, float(period), parameters.steps(period)
     )
     return np.asarray(after, dtype=np.float64)
+
+
+def advance_long(
+    parameters: Parameters,
+    states: FloatArray,
+    input: ArrayLike,
+    time: float,
+    disturbances: FloatArray | None = None,
+) -> FloatArray:
+    """States, shape (n,), after a time (s) of any length under inputs, shape (m,), that do not change.
+
+    As `advance` if the plant is slow enough for that; else in equal parts, as few as 1, 2, 4, … allow.
+
+    Raises:
+        PlantError: as `advance`, of parts far shorter than a sample of any plant.
+    """
+    parts = 1
+    while parts < _MOST_PARTS and not parameters.can_step(time / parts):
+        parts *= 2
+    for _ in range(parts):
+        states = advance(parameters, states, input, time / parts, disturbances)
+    return states
 
 
 def advance_side_by_side(

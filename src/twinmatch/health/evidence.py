@@ -67,6 +67,11 @@ _FOLLOWING: Final = _Following()
 _AT_ONCE: Final = 0.5
 """Share of what a reading is said to be off by from which on it has jumped, and of a jump by which one that
 follows its plant moves on behind it."""
+_SAMPLES_OF_JUMP: Final = 3
+"""Most samples in which a reading jumps, however slow the plant is: a fast output of it has moved by as much in a few
+more."""
+_STEP: Final = 0.1
+"""Share of its range by which a drive has stepped."""
 _LEAST_LOG_WEIGHT: Final = math.log(0.01)
 """Log-weight of a level from which on changes begin in it."""
 _CERTAIN: Final = 2.0
@@ -693,12 +698,13 @@ class Competition:
 
     def _has_jumped(self, suspect: Suspect) -> bool:
         """Whether a reading that is said to be off has moved, about where that began, by much of it at once, and
-        stayed there.
+        stood before and afterwards.
 
-        What moves on may be the plant, which the equations expected elsewhere. An onset is known to four seconds;
-        a jump that came after it counts once it is seen whether the reading moves on.
+        What moves on, or has moved already, may be the plant, which the equations expected elsewhere. An onset is
+        known to four seconds; a jump that came after it counts once it is seen whether the reading moves on. What
+        follows a step of a drive at once may be its effect, which is larger here than the equations say.
         """
-        samples = self._between_onsets + 1
+        samples = min(self._between_onsets, _SAMPLES_OF_JUMP - 1) + 1
         unsure = 2 * self._between_onsets
         before_onset = max(len(self._values) - (self.count - suspect.born) - 1, 0)
         readings = np.array([values[suspect.cause[1]] for values in self._values])
@@ -706,10 +712,25 @@ class Competition:
         seen_through = moved.size - 2 * samples - 1
         earliest = max(before_onset - unsure, 0)
         latest = max(before_onset, min(before_onset + unsure, seen_through))
+        off = abs(suspect.shift)
         return any(
-            _jumps_at_once(moved[begin:] - moved[begin], abs(suspect.shift), samples)
+            _jumps_at_once(moved, begin, off, samples)
+            and not self._has_stepped(moved.size - 1 - begin, samples)
             for begin in range(earliest, latest + 1)
         )
+
+    def _has_stepped(self, age: int, samples: int) -> bool:
+        """Whether a drive has moved by much of its range within so many samples, the last of them `age` samples
+        before the newest."""
+        end = len(self._commands) - age
+        commands = np.array(self._commands)[max(end - samples - 1, 0) : end]
+        if not commands.size:
+            return False
+        low, high = np.array(
+            [drive.limits for drive in self._model.plant.drives.values()]
+        ).T
+        moved = commands.max(axis=0) - commands.min(axis=0)
+        return bool((moved > _STEP * (high - low)).any())
 
     @property
     def rough(self) -> bool:
@@ -841,9 +862,13 @@ def _in_unit_of(row: ChangeRow, change: float) -> float:
     return math.expm1(change) if row.is_relative else change
 
 
-def _jumps_at_once(moved: FloatArray, off: float, samples: int) -> bool:
-    """Whether a reading moves within so many samples by much of what it is said to be off, and stays there;
-    `moved` is by how much it has moved since the first of them."""
-    at_once = float(moved[: samples + 1].max())
-    afterwards = float(moved[samples : 2 * samples + 1].max(initial=0.0))
-    return at_once >= _AT_ONCE * off and afterwards < (1.0 + _AT_ONCE) * at_once
+def _jumps_at_once(moved: FloatArray, begin: int, off: float, samples: int) -> bool:
+    """Whether a reading moves within so many samples from `begin` on by much of what it is said to be off, and
+    stands before and afterwards; `moved` is by how much it has moved, up to a constant."""
+    since = moved[begin:] - moved[begin]
+    at_once = float(since[: samples + 1].max())
+    afterwards = float(since[samples : 2 * samples + 1].max(initial=0.0))
+    before = moved[begin] - float(moved[max(begin - samples, 0) : begin + 1].min())
+    stands_afterwards = afterwards < (1.0 + _AT_ONCE) * at_once
+    stands_before = before < _AT_ONCE * at_once
+    return at_once >= _AT_ONCE * off and stands_before and stands_afterwards

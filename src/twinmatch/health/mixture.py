@@ -15,7 +15,7 @@ import numpy as np
 from twinmatch.dynamics import Model, Parameters
 from twinmatch.dynamics.bank import BankConstants, BankMembers, weigh
 from twinmatch.dynamics.pace import plant_scale, slow_scale
-from twinmatch.dynamics.simulation import advance, begin, readings
+from twinmatch.dynamics.simulation import advance_long, begin, readings
 from twinmatch.dynamics.tracker import Assumed
 from twinmatch.health.acting_inputs import ActingInputs
 from twinmatch.health.mixture_forecasts import RECORD, MixtureForecasts
@@ -247,7 +247,7 @@ class HealthyMixture:
         driven[drive] += (limits[1] - rest[drive]) * share
         period = _EFFECT_SHOWS * self.scale
         ends = [
-            readings(parameters, advance(parameters, states, inputs, period))
+            readings(parameters, advance_long(parameters, states, inputs, period))
             for inputs in (driven, rest)
         ]
         return np.asarray(ends[0] - ends[1])
@@ -283,7 +283,7 @@ class HealthyMixture:
         states = belief[: self._n]
         shown = [readings(parameters, states)]
         for _ in range(math.ceil(since / lasts)):
-            states = advance(parameters, states, inputs, lasts * self.scale)
+            states = advance_long(parameters, states, inputs, lasts * self.scale)
             shown.append(readings(parameters, states))
         return np.diff(np.array(shown), axis=0)
 

@@ -18,7 +18,7 @@ from twinmatch.comparing import (
     statements_of,
 )
 from twinmatch.dynamics import Law, Parameters, Plant
-from twinmatch.signals import Window
+from twinmatch.signals import Window, decimals_of_time
 from twinmatch.twin import Fits, window_fits
 from twinmatch.twin.trust import merged
 
@@ -125,11 +125,16 @@ class LevelStretch(NamedTuple):
 
     def times(self, period: float) -> str:
         """From when to when the level was stated, for a sampling period in s."""
-        return f"{self.first * period:.0f} to {self.last * period:.0f} s"
+        return _times_text(self.first, self.last, period)
 
     def fault_times(self, period: float) -> str:
         """From when to when the fault has shown, for a sampling period in s."""
-        return f"{self.begins * period:.0f} to {self.last * period:.0f} s"
+        return _times_text(self.begins, self.last, period)
+
+
+def _times_text(first: int, last: int, period: float) -> str:
+    decimals = decimals_of_time(period)
+    return f"{first * period:.{decimals}f} to {last * period:.{decimals}f} s"
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,8 @@ from twinmatch.twin import (
 UNKNOWN: Final = "unknown"
 """Value of `loop` for a twin that is driven by the recorded input."""
 
+_SHORTEST: Final = 1e-6
+"""Least sampling period of recorded samples, s: those of a converter are some microseconds apart."""
 _MAX_GAIN = 1e4
 """Largest gain; a larger one means a wrong unit."""
 
@@ -75,12 +77,20 @@ def closing_of(values: Mapping[str, Any]) -> LoopLaw:
 
 
 def loop_parameters(
-    plant: type[Plant], closing: LoopLaw = FROM_PLANT_FILE
+    plant: type[Plant],
+    closing: LoopLaw = FROM_PLANT_FILE,
+    *,
+    shortest: float = 1e-3,
 ) -> tuple[Setting, ...]:
-    """The sampling period, and the gains of the plant's controller if it is known: of several PIDs, lists."""
+    """The sampling period, and the gains of the plant's controller if it is known: of several PIDs, lists.
+
+    `shortest`: least period that is allowed, s; default: what a loop on this machine can keep.
+    """
     usual = plant.loop.period if plant.loop else 1.0
     pids = pids_of(law_for(plant, usual, closing))
-    period = Setting("period", usual, "Sampling period of the loop.", "s", 1e-3, 1e5)
+    period = Setting(
+        "period", usual, "Sampling period of the loop.", "s", shortest, 1e5
+    )
     if not pids:
         return (period,)
     drives = plant.drives.values()
@@ -197,7 +207,7 @@ def twin_table(
             "Whether the twin runs in the loop of the plant file; unknown: the recorded input drives it.",
             choices=(FromPlantFile.LOOP.value, UNKNOWN),
         ),
-        *loop_parameters(plant, closing),
+        *loop_parameters(plant, closing, shortest=_SHORTEST),
         *_numbers(has),
         Setting(
             "recent",

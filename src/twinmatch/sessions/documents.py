@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import reprlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -38,6 +39,9 @@ _SCALARS: Final = tuple(
 )
 _MERGE: Final = f"{_PREFIX}merge"
 _Safe: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_FLOAT: Final = f"{_PREFIX}float"
+_WITH_EXPONENT: Final = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$")
+"""A number with an exponent, such as `2e-05`, which is text in YAML 1.1 if it has no point or no sign there."""
 
 
 class DocumentError(TwinmatchError):
@@ -45,12 +49,14 @@ class DocumentError(TwinmatchError):
 
 
 def read_yaml(path: Path) -> Any:
-    """Read a YAML file: lists, mappings with text keys, and scalars.
+    """Read a YAML file that a person has written: lists, mappings with text keys, and scalars.
+
+    `2e-05` is a number, as in YAML 1.2, JSON and the parameter files of ROS.
 
     Raises:
         DocumentError: the file cannot be read, is not YAML, or exceeds a limit.
     """
-    return parse_yaml(read_text(path), str(path))
+    return _parsed(read_text(path), str(path), _WrittenByHand)
 
 
 def read_text(path: Path) -> str:
@@ -72,13 +78,19 @@ def read_text(path: Path) -> str:
 def parse_yaml(text: str, place: str) -> Any:
     """Parse a YAML text; keys stay text as written. Error messages start with `place`.
 
+    `2e-05` is text, as in YAML 1.1: PyYAML writes numbers with a point, and texts that look like this one as they are.
+
     Raises:
         DocumentError: the text is not YAML, or exceeds a limit.
     """
+    return _parsed(text, place, _PlainLoader)
+
+
+def _parsed(text: str, place: str, loader: type[_PlainLoader]) -> Any:
     if len(text) > MAX_BYTES:
         raise DocumentError(f"{place}: has more than {MAX_BYTES} characters")
     try:
-        return _PlainLoader(text).get_single_data()
+        return loader(text).get_single_data()
     except _RefusedError as error:
         raise DocumentError(f"{place}: {error}") from None
     except yaml.YAMLError as error:
@@ -225,6 +237,15 @@ class _PlainLoader(_Safe):  # type: ignore[misc]  # whichever of the two is inst
         self._values += 1
         if self._values > MAX_VALUES:
             raise _RefusedError(node, f"the document has more than {MAX_VALUES} values")
+
+
+class _WrittenByHand(_PlainLoader):
+    """Reads numbers with exponents in all their forms."""
+
+    yaml_implicit_resolvers: ClassVar = {
+        first: [(_FLOAT, _WITH_EXPONENT), *pairs]
+        for first, pairs in _PlainLoader.yaml_implicit_resolvers.items()
+    }
 
 
 def _whole(digits: str, place: str) -> int:

@@ -17,7 +17,7 @@ from twinmatch.sessions.documents import (
     DocumentError,
     parse_json,
     parse_yaml,
-    read_yaml,
+    read_text,
 )
 from twinmatch.sessions.files import SessionError
 from twinmatch.sessions.messages import Qos, Topic
@@ -246,7 +246,8 @@ _UNREADABLE: Final = (OSError, ValueError, TypeError, LookupError, OverflowError
 
 
 def _read(folder: Path) -> Any:
-    return read_yaml(folder / METADATA)["rosbag2_bagfile_information"]
+    path = folder / METADATA
+    return parse_yaml(read_text(path), str(path))["rosbag2_bagfile_information"]
 
 
 def _dump(value: object) -> str:

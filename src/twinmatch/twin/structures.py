@@ -6,9 +6,9 @@ linearly. One step ahead, a noise model would carry even the poorest structure; 
 the samples that it was fitted to says little of the next ones.
 
 The errors are compared in blocks as long as residuals are correlated. A structure is worse than the best if
-its mean cost is higher by more than two standard errors of the difference or, where few blocks hold most of
-it, so far that their likelihoods differ by two nats. Of those that are not worse, the one with the fewest
-parameters is chosen; of as many, the one that errs less.
+its mean cost is higher by more than a hundredth, and by more than two standard errors of the difference or, where
+few blocks hold most of it, so far that their likelihoods differ by two nats. Of those that are not worse, the
+one with the fewest parameters is chosen; of as many, the one that errs less.
 """
 
 from __future__ import annotations
@@ -35,6 +35,9 @@ _TINY: Final = float(np.finfo(np.float64).tiny)
 _EQUAL: Final = 2.0
 """Standard errors of a difference, and nats, up to which structures are equal. At one, two of twelve plain
 simulated rigs are called richer; at two none, and every rich one is."""
+_ALIKE: Final = 0.01
+"""Share of the least cost up to which structures are equal, however sure the difference is. One whose additional
+effect was fitted as none is never exactly the one without it: searches end a little beside each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +198,8 @@ def _worse(costs: FloatArray, least: FloatArray) -> bool:
     blocks = costs.size
     if not math.isfinite(mean):
         return True
+    if mean <= (1.0 + _ALIKE) * best:
+        return False
     nats = blocks / 2 * math.log(mean / best)
     if nats > _EQUAL:
         return True
