@@ -109,6 +109,8 @@ LATER = (
     "twinmatch.importing.tables",
 )
 """What the start of a command that judges, or of the node that does, must not import: few runs need it."""
+OF_A_MEMORY = ("twinmatch.memory", "twinmatch.controllers", "sqlite3")
+"""What holds earlier sessions, and what was learned from them of laws."""
 DRAWING = ("twinmatch.showing.page", "twinmatch.showing.figures.elements")
 """What draws: the program of the live page with Bokeh, and what the first figure imports."""
 
@@ -153,7 +155,16 @@ def test_no_command_and_no_node_waits_for_modules_that_others_need() -> None:
 def test_a_start_imports_nothing_that_few_runs_need(module: str) -> None:
     if module.startswith("twinmatch.nodes"):
         pytest.importorskip("rclpy")
-    program = f"import sys, {module}; print(sorted(set({LATER}) & set(sys.modules)))"
+    assert imported_with(module, LATER) == "[]\n"
+
+
+def test_a_report_without_a_memory_imports_none() -> None:
+    assert imported_with("twinmatch.cli.report", OF_A_MEMORY) == "[]\n"
+
+
+def imported_with(module: str, names: tuple[str, ...]) -> str:
+    """Which of these modules are imported with another one, as printed."""
+    program = f"import sys, {module}; print(sorted(set({names}) & set(sys.modules)))"
     completed = subprocess.run(
         [sys.executable, "-c", program],
         cwd=PROJECT,
@@ -161,4 +172,4 @@ def test_a_start_imports_nothing_that_few_runs_need(module: str) -> None:
         text=True,
         check=True,
     )
-    assert completed.stdout == "[]\n"
+    return completed.stdout

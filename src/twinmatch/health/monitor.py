@@ -87,6 +87,7 @@ class Monitor:
         self._sentences = FaultSentences(
             self.settings.reference.model, self.settings.period
         )
+        self._span = self.settings.reference.model.plant.output.span
         self._lag = Lag(self.settings.pace)
         self._begin_with(self.settings)
         self._repeats = self._new_repeats()
@@ -290,14 +291,14 @@ class Monitor:
         before = self._before
         if before is None:
             return None
-        movement = self._balance.step(before, sample.output)
-        low, high = self.settings.reference.model.plant.output.span
-        inward = float(sample.output <= low) - float(sample.output >= high)
+        output = sample.output
+        change = output - before.output
+        movement = self._balance.step(before, output)
+        low, high = self._span
+        inward = float(output <= low) - float(output >= high)
         after = movement.drive + movement.passive
         if not self._known:
-            self._repeats.push(
-                sample.output - before.output, after, inward, earned=False
-            )
+            self._repeats.push(change, after, inward, earned=False)
             return (
                 self._sentences.frozen(sample, self._repeats)
                 if self._repeats.stands
@@ -317,7 +318,7 @@ class Monitor:
             else 0.0
         )
         self._repeats.push(
-            sample.output - before.output,
+            change,
             after,
             inward,
             error,

@@ -154,12 +154,11 @@ class Refusals:
 
     def _possible(self, sample: Sample) -> bool:
         """Whether the plant can have these values."""
+        for (low, high), y in zip(self._spans, sample.outputs, strict=False):
+            if not low <= y <= high:
+                return False
         commands = (*sample.references, *sample.inputs, *sample.disturbances)
-        within = (
-            low <= y <= high
-            for (low, high), y in zip(self._spans, sample.outputs, strict=False)
-        )
-        return all(within) and all(map(math.isfinite, commands))
+        return all(map(math.isfinite, commands))
 
     def _is_refused_step(self, sample: Sample) -> bool:
         """Whether a reading is refused for where it has moved; counts those from which readings continue."""

@@ -41,6 +41,7 @@ from twinmatch.sessions.metadata import CANDIDATES, parameters_of
 from twinmatch.settings import Rule
 from twinmatch.signals import Sample, Window, rms, stretches
 from twinmatch.twin import FamilyModels, MatchReport, Outcome, Twin, TwinSettings
+from twinmatch.twin.matcher import one_thread
 
 SAMPLE = "plant/sample"
 
@@ -285,7 +286,8 @@ def judge_samples(
     verdicts: list[Verdict] = []
     settled: list[Sample] = []
     estimates: list[EstimatedReading] = []
-    with held_interrupts() as check_interrupt:
+    # one limit on the threads of linear algebra for all windows, as each would set its own
+    with held_interrupts() as check_interrupt, one_thread():
         for count, sample in enumerate(samples):
             outcome = twin.push(sample)
             if outcome.match is not None:

@@ -43,7 +43,6 @@ from twinmatch.sessions import Session
 from twinmatch.sessions.files import ProgressCallback, part_of
 from twinmatch.showing.family import CRITERIA, FIGURES, Member, family
 from twinmatch.showing.forecasts import backtest_words
-from twinmatch.showing.memory import memory_words
 from twinmatch.showing.quantities import (
     outputs_unit,
     shown_inputs,
@@ -523,6 +522,11 @@ def make_report(
     _load_what_draws_and_is_drawn(judged)
     with beside(possible=second and portable(terms.settings.plant)) as work:
         report = build_report(judged, path, command=command, work=work)
+    if memory is None and not rig:
+        return report
+    # a memory holds what laws have done, and loads all that judges laws
+    from twinmatch.showing.memory import memory_words  # noqa: PLC0415
+
     return replace(
         report, memory=tuple(memory_words(terms.settings.plant, memory, rig))
     )
