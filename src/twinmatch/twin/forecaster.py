@@ -531,21 +531,43 @@ class Forecaster:
         forecasts = self._forecasts(departure, conditions, banded)
         means = np.array([forecast.means[:signals] for forecast in forecasts.values()])
         errors = measured - means.reshape(-1, signals, ahead)
-        for error, (name, forecast) in zip(errors, forecasts.items(), strict=True):
-            if name in banded:
-                sizes = np.where(is_received, np.abs(error), np.nan)
-                self._twins[name].learn(
-                    sizes, forecast.variances, before, departure.widths[name]
-                )
+        self._learn_bands(
+            departure.widths,
+            forecasts,
+            np.where(is_received, np.abs(errors), np.nan),
+            before,
+        )
         received = np.flatnonzero(is_received)
         new = received[received >= before]
         baselines = measured - departure.arx.referees(*conditions)[:, :signals]
         ledger.add(tuple(forecasts), errors[:, :, new], baselines[:, :, new], number)
         self.standings = Standings(self._twins, ledger, self.horizons)
         if ahead == self._longest and departure.leader in forecasts:
-            error_sizes = rms(rms(errors[:, :, received], ledger.noise[:, None]))
-            of_leader = error_sizes[list(forecasts).index(departure.leader)]
-            self._leader_confidence.add(float(of_leader), float(error_sizes.min()))
+            leader = list(forecasts).index(departure.leader)
+            in_noise = rms(errors[:, :, received], ledger.noise[:, None])
+            of_candidates = rms(in_noise)
+            self._leader_confidence.add(
+                float(of_candidates[leader]), float(of_candidates.min())
+            )
+
+    def _learn_bands(
+        self,
+        widths: Mapping[str, FloatArray],
+        forecasts: Mapping[str, _Forecast],
+        sizes: FloatArray,
+        before: int,
+    ) -> None:
+        """Have bands learn from the |errors| of all forecasts, shape (C, signals, N), at the leads after `before`.
+
+        `widths` are those that they had, by names of the candidates whose bands learn from this forecast.
+        """
+        for of_candidate, (name, forecast) in zip(
+            sizes, forecasts.items(), strict=True
+        ):
+            if name in widths:
+                self._twins[name].learn(
+                    of_candidate, forecast.variances, before, widths[name]
+                )
 
     def _forecasts(
         self, departure: _Departure, conditions: _Conditions, banded: Collection[str]
