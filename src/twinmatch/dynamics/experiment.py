@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -89,16 +89,10 @@ class Experiment:
             msg = f"{model.title}: the window has {len(window)} samples; the twin starts at the third"
             raise PlantError(msg)
         loop = law_for(model.plant, window.period, law)
-        known_gains = {} if loop is None else loop.GAINS
-        for names, known_names in (
-            (free, model.names),
-            (free_gains, known_gains),
-            (free_starts, model.states),
-        ):
-            unknown = [name for name in names if name not in known_names]
-            if unknown:
-                msg = f"{model.title}: {unknown[0]!r} cannot be free; there are {', '.join(known_names)}"
-                raise PlantError(msg)
+        gains = {} if loop is None else loop.GAINS
+        _require_known(model.title, free, model.names)
+        _require_known(model.title, free_gains, gains)
+        _require_known(model.title, free_starts, model.states)
         self.model = model
         self.base = base
         self.window = window
@@ -111,39 +105,26 @@ class Experiment:
         code, memory = law_code(loop, None if loop is None else loop.state(window))
         references = window.inputs if loop is None else window.references
         columns = n_references(model.plant, loop)
-        references = signal_rows(
-            model.title, "reference", references[SKIPPED:], columns
-        )
-        all_disturbances = model.disturbance_rows(window.disturbances, len(window))
         all_measured = np.concatenate([window.outputs, window.inputs], axis=1)
         self.measured = all_measured[SKIPPED:].T.copy()
         self._kernels = model.kernels_by(self.free)
-        given_weights = (
-            np.ones(len(self.measured))
-            if weights is None
-            else np.array(weights, dtype=np.float64)
-        )
-        weighed = np.repeat(given_weights[:, None], self.measured.shape[1], 1)
-        weighed[:, :settle] = 0.0
-        if window.seen is not None:
-            weighed[:, ~window.seen[SKIPPED:]] = 0.0
-        expected, pull = np.zeros((2, self.size))
-        for name, value in (beforehand or {}).items():
-            place = self.free.index(name)
-            expected[place] = value.expected
-            pull[place] = value.pull
-        tuned = [known_gains[name] for name in self.free_gains]
+        tuned = [gains[name] for name in self.free_gains]
         self._data = RunData(
             which=_indices(self._kernels.UNKNOWN, self.free),
             tuned=np.array(tuned, dtype=np.int64),
             memory=memory,
-            references=references,
-            disturbances=all_disturbances[SKIPPED:],
+            references=signal_rows(
+                model.title, "reference", references[SKIPPED:], columns
+            ),
+            disturbances=model.disturbance_rows(window.disturbances, len(window))[
+                SKIPPED:
+            ],
             measured=self.measured,
-            weights=weighed,
+            weights=self._weights_by_sample(weights, settle),
             robust=bool(robust),
             period=float(window.period),
         )
+        expected, pull = self._prior(beforehand or {})
         # an instant output follows from the input of its own sample, any other from the one before
         inputs_before = window.inputs[SKIPPED - (not model.instant)]
         self._problem = LeastSquares(
@@ -161,6 +142,27 @@ class Experiment:
             expected=expected,
             pull=pull,
         )
+
+    def _weights_by_sample(
+        self, weights: Sequence[float] | None, settle: int
+    ) -> FloatArray:
+        """Weights of all residuals, shape (o + m, N): 0 while the plant settles, and of lost samples."""
+        signals, samples = self.measured.shape
+        of_signals = np.ones(signals) if weights is None else np.array(weights, float)
+        by_sample = np.repeat(of_signals[:, None], samples, 1)
+        by_sample[:, :settle] = 0.0
+        if self.window.seen is not None:
+            by_sample[:, ~self.window.seen[SKIPPED:]] = 0.0
+        return by_sample
+
+    def _prior(self, beforehand: Mapping[str, Known]) -> tuple[FloatArray, FloatArray]:
+        """Expected values of the unknowns and the weights of their squared distances, shape (n,) each."""
+        expected, pull = np.zeros((2, self.size))
+        for name, known in beforehand.items():
+            place = self.free.index(name)
+            expected[place] = known.expected
+            pull[place] = known.pull
+        return expected, pull
 
     @property
     def controller(self) -> FloatArray:
@@ -303,6 +305,14 @@ class Experiment:
         if start.steps > self._kernels.MAX_STEPS:
             self.model.steps(start.vector, self.window.period)  # raises the error
         return start
+
+
+def _require_known(title: str, names: Sequence[str], known: Collection[str]) -> None:
+    """Raise if one of the names is not among the known ones."""
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        msg = f"{title}: {unknown[0]!r} cannot be free; there are {', '.join(known)}"
+        raise PlantError(msg)
 
 
 def sensitivities(
