@@ -22,7 +22,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -206,26 +206,19 @@ def resample(
             f"{place}: a period of {period:g} s does not fit rows {usual:g} s apart; give at least half of "
             "that"
         )
-    clocks = []
     pieces = []
     squares = 0.0
-    for stretch, rows in zip(
-        stretches, np.split(np.arange(stamps.size), cuts + 1), strict=True
-    ):
-        clock, on_clock = _clock(stretch, period)
-        piece = {name: column[rows] for name, column in values.items()}
-        if not on_clock:
-            ticks = (stretch - clock[0]) / period
-            squares += float(np.sum(np.square(ticks - np.rint(ticks))))
-            piece = {
-                name: _RESAMPLERS[kinds[name]](stretch, v, clock, period)
-                for name, v in piece.items()
-            }
-        clocks.append(clock)
+    rows_of_stretches = np.split(np.arange(stamps.size), cuts + 1)
+    for times, rows in zip(stretches, rows_of_stretches, strict=True):
+        of_stretch = {name: column[rows] for name, column in values.items()}
+        piece = _resampled_stretch(times, of_stretch, kinds, period)
         pieces.append(piece)
+        squares += piece.squares
+    clocks = [piece.clock for piece in pieces]
     resampled = {}
     for name in values:
-        resampled[name] = np.concatenate([piece[name] for piece in pieces])
+        resampled[name] = np.concatenate([piece.columns[name] for piece in pieces])
+    is_lost = (steps > _STEPS.without_loss * usual) & is_bridged
     return Resampled(
         time=np.concatenate(clocks),
         index=_indices(clocks, period),
@@ -234,11 +227,38 @@ def resample(
         rows=stamps.size,
         steps=(float(bridged_steps.min()), usual, float(bridged_steps.max())),
         jitter=period * float(np.sqrt(squares / stamps.size)),
-        bridged=tuple(
-            np.flatnonzero((steps > _STEPS.without_loss * usual) & is_bridged).tolist()
-        ),
+        bridged=tuple(np.flatnonzero(is_lost).tolist()),
         gaps=tuple(steps[cuts].tolist()),
     )
+
+
+class _ResampledStretch(NamedTuple):
+    """Rows between two gaps, at a constant period."""
+
+    clock: FloatArray
+    """Their times, s."""
+    columns: dict[str, FloatArray]
+    squares: float
+    """Sum over the rows of the squares of their distances from the clock, in periods; 0 where they were on it."""
+
+
+def _resampled_stretch(
+    times: FloatArray,
+    columns: Mapping[str, FloatArray],
+    kinds: Mapping[str, Kind],
+    period: float,
+) -> _ResampledStretch:
+    """Rows without a gap at a constant period; those that have it already are not changed."""
+    clock, on_clock = _clock(times, period)
+    if on_clock:
+        return _ResampledStretch(clock, dict(columns), 0.0)
+    ticks = (times - clock[0]) / period
+    resampled = {
+        name: _RESAMPLERS[kinds[name]](times, column, clock, period)
+        for name, column in columns.items()
+    }
+    squares = float(np.sum(np.square(ticks - np.rint(ticks))))
+    return _ResampledStretch(clock, resampled, squares)
 
 
 def period_of_ticks(
