@@ -77,74 +77,87 @@ def judge_archive(
     paths = find_sessions(named)
     terms = _terms(config, candidates, plant, document)
     store = Store(out) if out else None
-    skip = on_skip or (lambda _failure: None)
     report = watch or (lambda _done, _total: None)
+    results = _Results(paths, on_skip or (lambda _failure: None))
+    described = _describe(terms)
     todo: list[Job] = []
     keys: dict[int, str] = {}
-    failed: dict[int, Failure] = {}
-    records: dict[int, dict[str, Any]] = {}
-
-    def take(number: int, record: dict[str, Any]) -> None:
-        """Take a record without its verdicts, as those of a large archive do not fit into memory."""
-        records[number] = {
-            key: value for key, value in record.items() if key != "verdicts"
-        }
-
-    def fail(number: int, reason: str) -> None:
-        failed[number] = Failure(paths[number], reason)
-        skip(failed[number])
-
-    described = _describe(terms)
     for number, path in enumerate(paths):
         try:
             content = content_of(path)
         except OSError as error:
-            reason = (
-                "does not exist"
-                if isinstance(error, FileNotFoundError)
-                else error.strerror
-            )
-            fail(number, f"{path}: {reason}")
+            results.fail(number, f"{path}: {_why_not_read(error)}")
             continue
         keys[number] = key_of(content, described)
         stored = store.find(path, keys[number]) if store else None
         if stored is not None:
-            take(number, stored)
+            results.take(number, stored)
         else:
             todo.append(Job(number, path.resolve(), content, terms))
-    reused = len(records)
+    reused = results.judged
     decided = len(paths) - len(todo)
     report(decided, len(paths))
     with contextlib.closing(_outcomes(todo, jobs, scheduler)) as outcomes:
         for count, (number, record, why) in enumerate(outcomes, decided + 1):
             if record is None:
-                fail(number, why)
+                results.fail(number, why)
             else:
                 if store is not None:
                     store.keep(paths[number], keys[number], record)
-                take(number, record)
+                results.take(number, record)
             report(count, len(paths))
-    return _archive(
-        paths, records, tuple(failed[number] for number in sorted(failed)), reused
-    )
+    return results.archive(reused)
 
 
-def _archive(
-    paths: list[Path],
-    records: dict[int, dict[str, Any]],
-    failed: tuple[Failure, ...],
-    reused: int,
-) -> Archive:
-    """All results, in the order in which the sessions were given."""
-    count_of_name = Counter(record["session"] for record in records.values())
-    sessions: list[dict[str, Any]] = []
-    rows: list[dict[str, Any]] = []
-    for number, record in sorted(records.items()):
-        path = str(paths[number])
-        name = record["session"] if count_of_name[record["session"]] == 1 else path
-        sessions.append({"session": name, "path": path, "summary": record["summary"]})
-        rows += [row | {"session": name} for row in record["candidates"]]
-    return Archive(tuple(sessions), tuple(rows), failed, reused)
+def _why_not_read(error: OSError) -> str:
+    """Why the content of a session could not be read."""
+    if isinstance(error, FileNotFoundError):
+        return "does not exist"
+    return str(error.strerror)
+
+
+class _Results:
+    """The results of an archive's sessions so far, by their number in the order given."""
+
+    def __init__(
+        self, paths: Sequence[Path], on_skip: Callable[[Failure], None]
+    ) -> None:
+        """Begin without results; `on_skip` is called with each session that cannot be used."""
+        self._paths = paths
+        self._on_skip = on_skip
+        self._records: dict[int, dict[str, Any]] = {}
+        self._failed: dict[int, Failure] = {}
+
+    @property
+    def judged(self) -> int:
+        """Number of sessions with a record."""
+        return len(self._records)
+
+    def take(self, number: int, record: dict[str, Any]) -> None:
+        """Take a record without its verdicts, as those of a large archive do not fit into memory."""
+        self._records[number] = {
+            key: value for key, value in record.items() if key != "verdicts"
+        }
+
+    def fail(self, number: int, reason: str) -> None:
+        """Skip a session."""
+        self._failed[number] = Failure(self._paths[number], reason)
+        self._on_skip(self._failed[number])
+
+    def archive(self, reused: int) -> Archive:
+        """All results; so many of the records are those of an earlier run."""
+        count_of_name = Counter(record["session"] for record in self._records.values())
+        sessions: list[dict[str, Any]] = []
+        rows: list[dict[str, Any]] = []
+        for number, record in sorted(self._records.items()):
+            path = str(self._paths[number])
+            name = record["session"] if count_of_name[record["session"]] == 1 else path
+            sessions.append(
+                {"session": name, "path": path, "summary": record["summary"]}
+            )
+            rows += [row | {"session": name} for row in record["candidates"]]
+        failed = tuple(self._failed[number] for number in sorted(self._failed))
+        return Archive(tuple(sessions), tuple(rows), failed, reused)
 
 
 def _describe(terms: ArchiveTerms) -> str:
