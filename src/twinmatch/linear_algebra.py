@@ -19,6 +19,6 @@ ONE_THREAD: Final = dict.fromkeys(
 
 def start_one_thread() -> None:
     """Have linear algebra use one thread in this process, which has not imported numpy yet, and in those that
-    it starts; a number that the user has set stays."""
-    for variable, number in ONE_THREAD.items():
-        os.environ.setdefault(variable, number)
+    it starts; if the user has set one of the variables, all stay as they are."""
+    if ONE_THREAD.keys().isdisjoint(os.environ):
+        os.environ.update(ONE_THREAD)

@@ -281,17 +281,12 @@ class Window:
             raise SignalError(
                 f"window: sample {after} follows sample {before}; give consecutive samples"
             )
+        _check_shapes(samples)
         columns = {}
-        for name in SIGNALS:
-            rows = list(map(attrgetter(name), samples))
-            if len(set(map(len, rows))) > 1:
-                k = next(k for k, row in enumerate(rows) if len(row) != len(rows[0]))
-                raise SignalError(
-                    f"window: sample {indices[k]} has {len(rows[k])} {name}, "
-                    f"sample {indices[0]} has {len(rows[0])}; they must be equal"
-                )
+        for name, width in zip(SIGNALS, samples[0].shape, strict=True):
+            rows = map(attrgetter(name), samples)
             values = np.fromiter(chain.from_iterable(rows), dtype=np.float64)
-            columns[name] = values.reshape(len(samples), len(rows[0]))
+            columns[name] = values.reshape(len(samples), width)
         is_seen = np.array(list(map(attrgetter("seen"), samples)))
         return cls(**columns, first=int(indices[0]), period=period, seen=is_seen)
 
@@ -424,6 +419,24 @@ class Window:
 def decimals_of_time(period: float) -> int:
     """Decimals with which the times of neighbouring samples differ, s; none from a period of 1 s on."""
     return max(0, math.ceil(-math.log10(period)))
+
+
+def _check_shapes(samples: Sequence[Sample]) -> None:
+    """Check that all samples have the same numbers of signals.
+
+    Raises:
+        SignalError: one has others than the first.
+    """
+    if len(set(map(attrgetter("shape"), samples))) == 1:
+        return
+    first = samples[0]
+    other = next(sample for sample in samples if sample.shape != first.shape)
+    for name, number, expected in zip(SIGNALS, other.shape, first.shape, strict=True):
+        if number != expected:
+            raise SignalError(
+                f"window: sample {other.index} has {number} {name}, "
+                f"sample {first.index} has {expected}; they must be equal"
+            )
 
 
 def column_of(signals: FloatArray, k: int) -> FloatArray:

@@ -100,7 +100,7 @@ def linearised_in_loop(
     )
     states = run.states[-2]
     inputs = run.inputs[-1]
-    is_finite = finite(np.append(states, inputs))
+    is_finite = finite(states) and finite(inputs)
     linear = (
         linearised_at(parameters, states, inputs, loop.law.period)
         if is_finite

@@ -396,10 +396,12 @@ class _Family:
         winding_failed = pairs[self.gaps[pairs] == 1]
         comparable = pairs[self.gaps[pairs] < 1]
         draws = np.zeros(DRAWS)
-        for pair in winding_failed:
-            draws += self._whole(pair)
-        low = float(np.quantile(draws, TAIL))
+        low = 0.0
         high = float(winding_failed.size)
+        if winding_failed.size:
+            for pair in winding_failed:
+                draws += self._whole(pair)
+            low = float(np.quantile(draws, TAIL))
         if comparable.size:
             total = float(self.gaps[comparable].sum())
             least, most = fitting_scales(comparable, self.a, self.b, self.c, TAIL)

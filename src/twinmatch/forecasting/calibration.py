@@ -258,10 +258,12 @@ class Calibration:
         cumulated = weights[order].cumsum(axis=2)
         share = cumulated / (weight_of_all + weight_of_next)[:, :, None]
         # As shares rise, this is the first place at which the share reaches the confidence.
-        rank = np.add.reduce(share < CONFIDENCE, axis=2, keepdims=True)
+        rank = np.add.reduce(share < CONFIDENCE, axis=2)
         rank = np.minimum(rank, len(weights) - 1)
-        chosen = np.take_along_axis(order, rank, axis=2)
-        return np.take_along_axis(quotients, chosen, axis=2)[:, :, 0].T
+        each_lead = np.arange(len(quotients))[:, None]
+        each_signal = np.arange(quotients.shape[1])
+        chosen = order[each_lead, each_signal, rank]
+        return np.asarray(quotients[each_lead, each_signal, chosen].T)
 
 
 def _places(leads: Sequence[int]) -> slice | list[int]:

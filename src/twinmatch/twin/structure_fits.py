@@ -159,7 +159,7 @@ class StructureFits:
         self._richest = max(
             reversed(local), key=lambda model: model.structure.n_parameters()
         )
-        if self._fitted.window is not None:
+        if new and self._fitted.window is not None:
             self._compete(new, self._fitted.window)
 
     @property
