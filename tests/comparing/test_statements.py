@@ -75,7 +75,8 @@ def test_a_fault_says_what_it_is_since_when_and_where_to_look() -> None:
         fault.with_reason
         == "drive-lost: the drive does nothing: look at wires and supply"
     )
-    assert fault.with_begin(0.5) == "drive-lost since 320 s"
+    assert fault.with_begin(2.0) == "drive-lost since 1280 s"
+    assert fault.with_begin(0.5) == "drive-lost since 320.0 s"
     assert fault.with_signal == "drive-lost of pwm"
     assert fault.place == "wires and supply"
     unplaced = fault._replace(reason="it does nothing", signal="", since=None)
