@@ -345,6 +345,10 @@ def test_of_two_things_the_signals_of_one_are_taken(tmp_path: Path) -> None:
             ["TIC1.PV (°C)", "TIC1.OP (%)", "TIC2.PV (°C)", "TIC2.OP (%)"],
         ),
         (
+            ["Zone1 PV", "Zone1 SP", "Zone1 OUT", "Zone2 PV", "Zone2 SP", "Zone2 OUT"],
+            ["Zone1 PV", "Zone1 OUT", "Zone2 PV", "Zone2 OUT"],
+        ),
+        (
             ["Zone1 (°C)", "SP1 (°C)", "OP1 (%)", "Zone2 (°C)", "SP2 (°C)", "OP2 (%)"],
             ["Zone1 (°C)", "OP1 (%)", "Zone2 (°C)", "OP2 (%)"],
         ),
@@ -571,3 +575,22 @@ def test_what_no_input_moves_is_a_disturbance(tmp_path: Path) -> None:
     assert guess["output"] == "Temp A (degC)"
     assert guess["input"] == "heating"
     assert guess["room"] == "Temp B (degC)"
+
+
+def test_air_outside_by_the_name_of_building_controls_is_a_disturbance(
+    tmp_path: Path,
+) -> None:
+    u = held([20, 60, 40], 600, 100)
+    zone = 15.0 + lagged(u, 20.0, 20.0, 1)
+    outside = 10.0 + np.sin(np.arange(600) / 150.0)
+    rows = zip(range(600), zone, u, outside, strict=True)
+    lines = [f"{t},{y:.2f},{v:g},{a:.1f}" for t, y, v, a in rows]
+    path = tmp_path / "zone.csv"
+    titles = "time (s),Zone Temp (°C),Htg Valve (%),OAT (°C)"
+    path.write_text("\n".join([titles, *lines]) + "\n")
+    assert guess(path) == {
+        "time": "time (s)",
+        "output": "Zone Temp (°C)",
+        "input": "Htg Valve (%)",
+        "room": "OAT (°C)",
+    }

@@ -64,6 +64,8 @@ class _RepeatRule(Rule):
     """A reading shows noise if its changes differ, on average, by so many of the smallest change."""
     moved: float = 30.0
     """Movement of the plant above which a sensor that repeats its reading is frozen."""
+    missed: float = 30.0
+    """Samples of readings that stood from which is known by how much the movement expected of them is missed."""
 
 
 _REPEATS: Final = _RepeatRule()
@@ -221,6 +223,8 @@ class Repeats:
         self.expected = 0.0
         """Movement expected since the first of them."""
         self._error = 0.0  # how far that movement may be wrong
+        self._due = 0.0  # that movement as the equations have it
+        self._missed = 0.0  # what the readings usually do beyond it, a sample
         self._inward = 0.0
 
     def push(
@@ -241,10 +245,12 @@ class Repeats:
         self._inward = inward
         if change == 0.0:
             self.count += 1
-            self.expected += movement if earned else 0.0
+            self.expected += self._shown(movement) if earned else 0.0
+            self._due += movement
             self._error += error
             return
         if not self.stands:
+            self._learn_miss(change)
             for repeats in (1.0,) * self.count + (0.0,):
                 self._seen = min(self._seen + 1, 300)
                 self._often += (repeats - self._often) / self._seen
@@ -259,6 +265,24 @@ class Repeats:
         self.count = 0
         self.expected = 0.0
         self._error = 0.0
+        self._due = 0.0
+
+    def _learn_miss(self, change: float) -> None:
+        """Learn from a change by how much the movement was missed that was expected while the reading stood."""
+        if self.count == 0:
+            return
+        share = 1.0 - (1.0 - 1.0 / _REPEATS.missed) ** self.count
+        missed = (change - self._due) / self.count
+        self._missed += share * (missed - self._missed)
+
+    def _shown(self, movement: float) -> float:
+        """What is left of an expected movement without what was missed of such ones before the reading stood.
+
+        The drive of a plant may have become weak, or its losses larger: then all of its rest looks like a movement.
+        """
+        if movement * self._missed >= 0.0:
+            return movement
+        return math.copysign(max(0.0, abs(movement) - abs(self._missed)), movement)
 
     @property
     def _coarse(self) -> bool:

@@ -74,11 +74,14 @@ _INPUT: Final = re.compile(
     re.IGNORECASE,
 )
 """Names of what is commanded; `MV` and `OP` are those of control systems, as `PV` is of what is measured."""
+_PV: Final = re.compile(r"(?:\b|_)pv(?=[_ ]?\d*$)", re.IGNORECASE)
+_OUT: Final = re.compile(r"(?:\b|_)out(?=[_ ]?\d*$)", re.IGNORECASE)
+"""What a control system calls the drive of a loop whose `PV` it measures; alone, it may be an outlet."""
 _ROOM: Final = re.compile(
-    r"amb|room|outside|outdoor|environment|t_?inf|surround", re.IGNORECASE
+    r"amb|room|outside|outdoor|\boat\b|environment|t_?inf|surround", re.IGNORECASE
 )
 _OUTSIDE: Final = re.compile(
-    r"amb|outside|outdoor|environment|t_?inf|surround|weather", re.IGNORECASE
+    r"amb|outside|outdoor|\boat\b|environment|t_?inf|surround|weather", re.IGNORECASE
 )
 _TIME: Final = re.compile(
     r"^t$|^tout$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed|^zeit",
@@ -174,7 +177,23 @@ def columns_of(table: Table) -> list[Column]:
             _column(table, table.time),
             *(_series(table, title) for title in table.places_of),
         ]
-    return [_column(table, title) for title in table.columns]
+    return _with_drives_of_loops([_column(table, title) for title in table.columns])
+
+
+def _with_drives_of_loops(columns: Sequence[Column]) -> list[Column]:
+    """The columns, with `OP` for `OUT` in the names of those beside which there is the `PV` of the same loop."""
+    loops = {
+        _PV.sub("", column.short_name).lower()
+        for column in columns
+        if _PV.search(column.short_name)
+    }
+    named = []
+    for column in columns:
+        is_of_loop = _OUT.sub("", column.short_name).lower() in loops
+        is_drive = is_of_loop and _OUT.search(column.short_name) is not None
+        name = _OUT.sub(" op", column.short_name).strip() if is_drive else column.name
+        named.append(column._replace(name=name))
+    return named
 
 
 def _series(table: SeriesTable, title: str) -> Column:
