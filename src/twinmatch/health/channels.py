@@ -63,6 +63,8 @@ class _Naming(Rule):
     """Evidence from which a drive is said to do more than before, nats: what equations lack of the exchange
     between two loops looks like that. And from which a second fault is named while a sensor lies, by whose readings
     it is judged as well."""
+    much: float = 3.0 * CHANGE
+    """Evidence from which a small share of a drive is named though the equations are inexact, nats."""
     certain: float = 2.0
     """Standard deviations of its size by which an unnamed change differs from none, and a lost drive from a
     weak one."""
@@ -104,6 +106,13 @@ def _end_plant(*suspects: Suspect) -> bool:
     return all(
         suspect.row.is_end and not is_of_sensor(suspect.row) for suspect in suspects
     )
+
+
+def _is_of_whole_plant(suspect: Suspect) -> bool:
+    """Whether a change concerns all of a plant: what all drives share, losses or the room."""
+    fault, place = suspect.cause
+    is_of_all_drives = fault in OF_A_DRIVE and place == EVERY
+    return is_of_all_drives or TRAITS[fault].subject is Subject.PARAMETER
 
 
 class ChannelMonitor:
@@ -451,7 +460,8 @@ class ChannelMonitor:
         ]
         if not competition.may_accuse(best):
             return
-        leads = best.evidence - max([0.0, *rivals]) >= LEAD
+        is_ahead = best.evidence - max([0.0, *rivals]) >= LEAD
+        leads = is_ahead and not self._is_one_of_the_whole(best)
         self._leads = (
             best.cause,
             self._leads[1] + 1 if self._leads[0] == best.cause else 1,
@@ -464,6 +474,12 @@ class ChannelMonitor:
             self._name(best, suspects)
         elif not leads:
             self._wait_for_a_name(best, suspects)
+
+    def _is_one_of_the_whole(self, best: Suspect) -> bool:
+        """Whether it is a change of the whole plant that inexact equations do not tell from others: where heat is
+        stored and lost decides what a supply, losses and a room look like."""
+        is_change = not best.row.is_end and _is_of_whole_plant(best)
+        return is_change and self.competition.is_inexact
 
     def _wait_for_a_name(self, best: Suspect, suspects: list[Suspect]) -> None:
         """Report a change without a name once none has been found for long enough."""
@@ -586,9 +602,10 @@ class ChannelMonitor:
 
     def _is_open(self, drive: Suspect) -> bool:
         """Whether a weak drive may still be a lost one, or one that does more an exchange that the equations
-        lack; or what all of them share be what the equations lack of the plant. A small share is one of the
+        lack; or what all of them share be what the equations lack of the plant. A small share may be one of the
         equations if these are inexact: what a drive does may depend on where the plant is."""
-        if self.competition.is_inexact and abs(drive.shift) < MORE:
+        is_small = self.competition.is_inexact and abs(drive.shift) < MORE
+        if is_small and drive.evidence < _NAMING.much:
             return True
         is_of_all = drive.cause[1] == EVERY
         needs_more = self._does_more(drive) or is_of_all
@@ -709,10 +726,12 @@ class ChannelMonitor:
     ) -> None:
         """Begin an alarm; its sentence is that of its fault, if it has no `reason` of its own."""
         first = min(self._begin + best.born, self._index)
+        is_one_of_the_whole = self._is_one_of_the_whole(best)
         near = [
             suspect
             for suspect in suspects
             if suspect.evidence > max(0.0, best.evidence - LEAD)
+            or (is_one_of_the_whole and _is_of_whole_plant(suspect))
         ]
         rivals = tuple(
             dict.fromkeys(self.sentences.called(suspect.cause) for suspect in near)

@@ -40,8 +40,8 @@ from twinmatch.settings import Rule
 from twinmatch.signals import BoolArray, FloatArray, Sample
 
 _INEXACT: Final = 3.0
-"""Times the expected squared errors from which on equations are inexact: kits come to 1.7, a fermenter in a
-file of lags to 4.6."""
+"""Times the expected squared errors from which on equations are inexact: kits that their file describes come to
+1.3, those of the package `tclab` to 5 where set-points have moved, a fermenter in a file of lags to 4.6."""
 
 
 class _Following(Rule):
