@@ -56,9 +56,9 @@ def doubt_words(doubts: Mapping[float, Shortfall]) -> str:
     clauses = []
     for words in dict.fromkeys(doubt.words for doubt in proven.values()):
         figures = {
-            horizon: doubt.figure
-            for horizon, doubt in proven.items()
-            if doubt.words == words
+            horizon: proven[horizon].figure
+            for horizon in sorted(proven)
+            if proven[horizon].words == words
         }
         clauses.append(
             f"{horizon_list(figures)} s ahead {words.format(number_list(figures.values()))}"
@@ -75,5 +75,5 @@ def number_list(listed: Iterable[float | str], digits: str = "g") -> str:
 
 
 def horizon_list(horizons: Iterable[float]) -> str:
-    """Horizons in a sentence, s, to three digits: those of fast plants are odd multiples of their period."""
-    return number_list(float(f"{horizon:.3g}") for horizon in horizons)
+    """Horizons in a sentence, s, the shortest first, to three digits: those of fast plants are odd multiples of their period."""
+    return number_list(float(f"{horizon:.3g}") for horizon in sorted(horizons))
