@@ -8,15 +8,20 @@ import inspect
 import operator
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 import pytest
+from llvmlite import ir
+from numba.extending import lower_builtin, type_callable
 from packaging.requirements import Requirement
 
 from tests.support.places import PROJECT
+from twinmatch.compiled import compiled
 from twinmatch.numba_insides import NEWEST, OLDEST, NumbaError, check_version
 
 INSIDES = {
@@ -35,11 +40,12 @@ INSIDES = {
     "codegen:JITCPUCodegen.set_env": ("self", "env_name", "env"),
     "codegen:JITCodeLibrary._ensure_finalized": ("self",),
     "codegen:JITCodeLibrary._finalize_dynamic_globals": ("self",),
-    "codegen:JITCodeLibrary._finalize_final_module": ("self",),
     "codegen:JITCodeLibrary._finalized": None,
+    "codegen:JITCodeLibrary._get_module_for_linking": ("self",),
     "codegen:JITCodeLibrary._optimize_final_module": ("self",),
     "codegen:JITCodeLibrary._optimize_functions": ("self", "ll_module"),
     "codegen:JITCodeLibrary.enable_object_caching": ("self",),
+    "codegen:JITCodeLibrary.finalize": ("self",),
     "codegen:JITCodeLibrary.get_pointer_to_function": ("self", "name"),
     "compiler:CompileResult._find_referenced_environments": ("self",),
     "compiler:CompileResult._rebuild": (
@@ -77,8 +83,15 @@ INSIDES = {
     "environment:Environment._memo": None,
     "environment:lookup_environment": ("env_name",),
     "funcdesc:PythonFunctionDescriptor.llvm_cpython_wrapper_name": None,
+    "datamodel.models:DataModel.contains_nrt_meminfo": ("self",),
+    "datamodel.models:DataModel.get_nrt_meminfo": ("self", "builder", "value"),
+    "datamodel.models:DataModel.has_nrt_meminfo": ("self",),
+    "datamodel.models:DataModel.traverse": ("self", "builder"),
     "registry:cpu_target.target_context.codegen": ("self",),
+    "registry:cpu_target.target_context.data_model_manager": None,
+    "runtime.context:NRTContext.get_meminfos": ("self", "builder", "ty", "val"),
     "runtime:rtsys.initialize": ("self", "ctx"),
+    "types:Function.get_call_type": ("self", "context", "args", "kws"),
 }
 """What is used of `numba.core` without being invited, and the parameters of functions."""
 KERNELS = ("_cache", "_compiler.compile", "get_call_template", "get_overload")
@@ -97,7 +110,7 @@ def test_the_insides_of_numba_that_are_used_are_where_they_were() -> None:
     )
     moved += [
         f"CPUCodeLibrary.{name}"
-        for name in ("_final_module", "_shared_module")
+        for name in ("_final_module", "_linking_libraries", "_shared_module")
         if name not in vars(library)
     ]
     for place, parameters in INSIDES.items():
@@ -193,3 +206,169 @@ def test_one_module_uses_them() -> None:
         if insides_used(path)
     }
     assert using == {ONLY_THERE}
+
+
+def part_of(function: Callable[..., Any]) -> Any:
+    """The part of kernels that a function becomes."""
+    return compiled(inside=True)(function)
+
+
+class Doubled:
+    """A function that kernels know, and how often numba asks for its signature."""
+
+    def __init__(self) -> None:
+        self.arguments: list[Any] = []
+        self.function = self._new()
+        self.define(numba.float64)
+
+    def _new(self) -> Any:
+        def double(number: Any) -> Any:
+            return number + number
+
+        return double
+
+    def define(self, kind: Any) -> None:
+        """Say how numbers of a type are doubled."""
+
+        def signature_of_double(_context: Any) -> Any:
+            def result(number: Any) -> Any:
+                self.arguments.append(number)
+                return kind if number == kind else None
+
+            return result
+
+        def double(_context: Any, builder: Any, _signature: Any, numbers: Any) -> Any:
+            add = builder.add if kind == numba.int64 else builder.fadd
+            return add(numbers[0], numbers[0])
+
+        type_callable(self.function)(signature_of_double)
+        lower_builtin(self.function, kind)(double)
+
+    def kernel(self) -> Callable[[Any], Any]:
+        """The eightfold of a number, in three calls."""
+        double = self.function
+
+        def eightfold(number: Any) -> Any:
+            return double(double(double(number)))
+
+        return eightfold
+
+
+def test_parts_look_for_the_definition_of_a_function_once() -> None:
+    doubled = Doubled()
+    part_of(doubled.kernel()).compile((numba.float64,))
+    assert doubled.arguments == [numba.float64]
+    part_of(doubled.kernel()).compile((numba.float64,))
+    assert doubled.arguments == [numba.float64]
+
+
+def test_a_definition_that_is_added_later_is_found() -> None:
+    doubled = Doubled()
+    part_of(doubled.kernel()).compile((numba.float64,))
+    with pytest.raises(numba.TypingError):
+        part_of(doubled.kernel()).compile((numba.int64,))
+    doubled.define(numba.int64)
+    part = part_of(doubled.kernel())
+    part.compile((numba.int64,))
+    assert part.nopython_signatures == [numba.int64(numba.int64)]
+
+
+def test_kernels_of_others_are_compiled_as_numba_does_it() -> None:
+    doubled = Doubled()
+    part_of(doubled.kernel()).compile((numba.float64,))
+    kernel = numba.njit(doubled.kernel())
+    assert kernel(1.5) == 12.0
+    assert len(doubled.arguments) > 3
+
+
+def extractions(monkeypatch: pytest.MonkeyPatch, kernel: Any) -> int:
+    """How many members of arrays and tuples are taken out of them where a kernel of pairs is compiled."""
+    taken = []
+    extract = ir.IRBuilder.extract_value
+
+    def counted(builder: Any, *arguments: Any, **named: Any) -> Any:
+        taken.append(arguments)
+        return extract(builder, *arguments, **named)
+
+    vector = numba.float64[::1]
+    pair = numba.types.UniTuple(vector, 2)
+    with monkeypatch.context() as context:
+        context.setattr(ir.IRBuilder, "extract_value", counted)
+        kernel.compile((pair,))
+    return len(taken)
+
+
+def first_of_second(pair: tuple[Any, Any]) -> Any:
+    return pair[1][0]
+
+
+def test_only_references_are_taken_out_of_arrays_to_count_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """numba takes out shape, strides, and all other numbers each time, too."""
+    by_numba = extractions(
+        monkeypatch,
+        numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True)(first_of_second),
+    )
+    part = part_of(first_of_second)
+    assert extractions(monkeypatch, part) < by_numba / 2
+
+
+def test_functions_of_numba_within_parts_have_no_entry_for_c(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    entries = []
+    context = type(numba.core.registry.cpu_target.target_context)
+    monkeypatch.setattr(
+        context, "create_cfunc_wrapper", lambda *_: entries.append("entry")
+    )
+
+    def zeros_of_four_dimensions() -> Any:
+        return np.zeros((1, 2, 3, 4))
+
+    part_of(zeros_of_four_dimensions).compile(())
+    assert not entries
+    numba.njit(lambda: np.zeros((1, 2, 3, 4, 5)))()
+    assert entries
+
+
+def test_kernels_of_others_call_parts_with_all_that_these_call() -> None:
+    @part_of
+    def tripled(number: float) -> float:
+        return 3.0 * number
+
+    @part_of
+    def row_of_tripled(number: float) -> Any:
+        return np.full(2, tripled(number))
+
+    @part_of
+    def sum_of_tripled(number: float) -> Any:
+        return row_of_tripled(number).sum() + tripled(number)
+
+    def kernel(number: float) -> Any:
+        return sum_of_tripled(number)
+
+    assert numba.njit(kernel)(1.5) == 13.5
+
+
+def test_a_part_that_is_called_in_several_ways_is_linked_once() -> None:
+    """Its caller and the caller's caller call it: whichever way it is found by, it is there."""
+
+    @part_of
+    def tripled(number: float) -> float:
+        return 3.0 * number
+
+    @part_of
+    def sixfold(number: float) -> Any:
+        return 2.0 * tripled(number)
+
+    def ninefold(number: float) -> Any:
+        return tripled(number) + sixfold(number)
+
+    part = part_of(ninefold)
+    part.compile((numba.float64,))
+    (alone,) = part.inspect_llvm().values()
+    defined = [line for line in alone.splitlines() if line.startswith("define")]
+    assert sum("ninefold" in line for line in defined) == 1
+    assert not any("tripled" in line or "sixfold" in line for line in defined)
+    assert numba.njit(lambda: part(2.0))() == 18.0

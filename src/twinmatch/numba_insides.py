@@ -57,9 +57,11 @@ from numba.core.caching import (  # noqa: E402
     FunctionCache,
 )
 from numba.core.codegen import JITCodeLibrary  # noqa: E402
+from numba.core.cpu import CPUContext  # noqa: E402
 from numba.core.environment import Environment, lookup_environment  # noqa: E402
 from numba.core.registry import cpu_target  # noqa: E402
 from numba.core.runtime import rtsys  # noqa: E402
+from numba.core.runtime.context import NRTContext  # noqa: E402
 
 
 def start_runtime() -> None:
@@ -107,18 +109,84 @@ def make_entry(
 
 @contextlib.contextmanager
 def _as_written() -> Iterator[None]:
+    """Within the block, numba compiles parts. Its lock is held, so nobody else compiles in it."""
     codegen = cpu_target.target_context.codegen()
-    before = codegen._library_class, codegen.set_env
+    before = (
+        codegen._library_class,
+        codegen.set_env,
+        CPUContext.create_cfunc_wrapper,
+        types.Function.get_call_type,
+        NRTContext.get_meminfos,
+    )
     codegen._library_class = _Part
     codegen.set_env = lambda *_: None
+    # numba makes an entry for C of each of its own functions
+    CPUContext.create_cfunc_wrapper = lambda *_: None
+    types.Function.get_call_type = _call_type
+    NRTContext.get_meminfos = _references
     try:
         yield
     finally:
-        codegen._library_class, codegen.set_env = before
+        (
+            codegen._library_class,
+            codegen.set_env,
+            CPUContext.create_cfunc_wrapper,
+            types.Function.get_call_type,
+            NRTContext.get_meminfos,
+        ) = before
+
+
+_find_call_type: Final = types.Function.get_call_type
+
+_CALL_TYPES: Final[dict[tuple[Any, ...], Any]] = {}
+"""The signatures of what parts call of numba's own, by function, context and types of the arguments."""
+
+
+def _call_type(function: Any, context: Any, arguments: Any, keywords: Any) -> Any:
+    """The signature of one of numba's functions or operators for these arguments.
+
+    numba tries all definitions of a function in turn, each time that it is called: ten of an addition. Parts make
+    16 700 calls, of 550 kinds. A function with another definition more is another function here.
+    """
+    if keywords:
+        return _find_call_type(function, context, arguments, keywords)
+    kind = (function, context, arguments)
+    if kind not in _CALL_TYPES:
+        _CALL_TYPES[kind] = _find_call_type(function, context, arguments, keywords)
+    return _CALL_TYPES[kind]
+
+
+def _references(
+    counter: Any, builder: Any, kind: Any, value: Any
+) -> list[tuple[Any, Any]]:
+    """The counted references that a value holds, with their types.
+
+    numba takes all numbers out of a value to look for references in them, too: seven and more of each array, which is
+    a fifth of the instructions of parts.
+    """
+    model = _model(kind)
+    references = []
+    if model.has_nrt_meminfo():
+        references.append((kind, model.get_nrt_meminfo(builder, value)))
+    for member_kind, member in model.traverse(builder):
+        if _holds_references(member_kind):
+            references += _references(counter, builder, member_kind, member(value))
+    return references
+
+
+def _model(kind: Any) -> Any:
+    """How numba lays out values of a type."""
+    return cpu_target.target_context.data_model_manager[kind]
+
+
+@functools.cache
+def _holds_references(kind: Any) -> bool:
+    """Whether values of a type hold counted references."""
+    return bool(_model(kind).contains_nrt_meminfo())
 
 
 class _Part(JITCodeLibrary):
-    """Code to be linked into kernels, as it was written.
+    """Code to be linked into kernels, as it was written, without what it calls.
 
     numba optimises and translates every function together with all that it calls, so at each level of calls
     everything below once more: four fifths of its time.
@@ -127,20 +195,62 @@ class _Part(JITCodeLibrary):
     def _optimize_functions(self, module: Any) -> None:
         simplify_functions(module)
 
-    def _optimize_final_module(self) -> None:
-        """The kernels that this is linked into are optimised."""
-
-    def _finalize_final_module(self) -> None:
+    def finalize(self) -> None:
+        """Link nothing: the kernels that this is linked into link what it calls, too."""
         self._finalize_dynamic_globals()
         self._finalized = True
+
+    def module(self) -> Any:
+        """Its functions alone, to be linked."""
+        return super()._get_module_for_linking()
+
+    def _get_module_for_linking(self) -> Any:
+        """Its functions with all that they call, for kernels of others."""
+        module = self.module().clone()
+        _link_all(module, _called_by(self))
+        return module
 
     def get_pointer_to_function(self, name: str) -> int:  # noqa: ARG002
         self._ensure_finalized()
         return 0
 
 
+def _called_by(part: _Part) -> list[Any]:
+    """The libraries of all functions that a part calls, whether directly or not, callers first.
+
+    LLVM links only those functions of a module that are called from what it has linked before.
+    """
+    callees_first: list[Any] = []
+    visited = set()
+
+    def visit(library: Any) -> None:
+        if library in visited:
+            return
+        visited.add(library)
+        # another library, such as numba's runtime, holds all that it calls
+        if isinstance(library, _Part):
+            for callee in library._linking_libraries:
+                visit(callee)
+        callees_first.append(library)
+
+    visit(part)
+    return callees_first[-2::-1]
+
+
+def _link_all(module: Any, libraries: list[Any]) -> None:
+    """Link libraries into a module, each once, which stay as they are."""
+    for library in libraries:
+        is_part = isinstance(library, _Part)
+        linked = library.module() if is_part else library._get_module_for_linking()
+        module.link_in(linked, preserve=True)
+
+
 class _EntryPoint(JITCodeLibrary):
     """An entry point from Python with all that it calls, which counts references to arrays by itself."""
+
+    def link(self, part: _Part) -> None:
+        """Link a part with all that it calls, each function once."""
+        _link_all(self._final_module, [part, *_called_by(part)])
 
     def _optimize_final_module(self) -> None:
         counting = llvmlite.binding.parse_assembly(str(counting_module()))
@@ -162,11 +272,11 @@ def entry_point(part: Any, *, addressed: bool) -> Any:
     library = _EntryPoint(context.codegen(), part.fndesc.qualname)
     library.enable_object_caching()
     library._shared_module = llvmlite.binding.parse_assembly("")  # kernels link parts
-    library.add_linking_library(part.library)
     wrapped = library, part.fndesc, part.environment, part.call_helper
     context.create_cpython_wrapper(*wrapped, release_gil=True)
     if addressed:
         context.create_cfunc_wrapper(*wrapped)
+    library.link(part.library)
     entry = context.get_executable(library, part.fndesc, part.environment)
     result = part._replace(library=library, entry_point=entry, metadata={})
     for inner in result._find_referenced_environments():
