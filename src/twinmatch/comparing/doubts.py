@@ -75,5 +75,6 @@ def number_list(listed: Iterable[float | str], digits: str = "g") -> str:
 
 
 def horizon_list(horizons: Iterable[float]) -> str:
-    """Horizons in a sentence, s, the shortest first, to three digits: those of fast plants are odd multiples of their period."""
+    """Horizons in a sentence, s, the shortest first; to three digits, as those of fast plants are odd multiples
+    of their period."""
     return number_list(float(f"{horizon:.3g}") for horizon in sorted(horizons))
