@@ -137,13 +137,13 @@ def _parameters(function: Any) -> list[str]:
     return list(inspect.signature(getattr(function, "__func__", function)).parameters)
 
 
-@pytest.mark.parametrize("version", ["0.59.1", "0.69.0", "1.0.0"])
+@pytest.mark.parametrize("version", ["0.60.0", "0.69.0", "1.0.0"])
 def test_another_numba_is_refused_with_a_sentence(version: str) -> None:
-    check_version("0.60.0")
+    check_version("0.61.0")
     check_version("0.68.1")
     with pytest.raises(
         NumbaError,
-        match=rf"numba {version} is not among .* 0\.60 to 0\.68; install `numba==0\.68\.\*`",
+        match=rf"numba {version} is not among .* 0\.61 to 0\.68; install `numba==0\.68\.\*`",
     ):
         check_version(version)
 

@@ -24,7 +24,7 @@ from twinmatch.errors import TwinmatchError
 from twinmatch.optimiser import optimise, simplify_functions
 from twinmatch.reference_counts import COUNTING, counting_module
 
-OLDEST: Final = (0, 60)
+OLDEST: Final = (0, 61)
 NEWEST: Final = (0, 68)
 """The versions of numba whose insides are as used here; pyproject.toml agrees."""
 
