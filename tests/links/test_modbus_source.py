@@ -31,7 +31,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from tests.support.foreign_rig import Oven
 from tests.support.oven import HOLD, oven_file
 from tests.support.places import PROJECT
-from tests.support.processes import Processes, no_plant_files
+from tests.support.processes import VERDICT_LINE, Processes, no_plant_files
 from tests.support.waiting import PATIENCE, wait_for
 from twinmatch.cli import main
 from twinmatch.links.modbus_source import (
@@ -853,7 +853,7 @@ def test_the_page_leads_from_a_plc_to_a_verdict(tmp_path: Path) -> None:
         run = processes.start(
             "bash", "-c", f"exec {attach}", environment=environment, folder=tmp_path
         )
-        run.said(r"^ *\d+ +(unknown|usable|doubtful|trusted|unusable|good|faulty)")
+        run.said(VERDICT_LINE)
         assert run.end(signal.SIGINT) == 0
         assert re.search(r"ended: \d+ samples, [1-9]\d* verdicts", run.text)
     finally:

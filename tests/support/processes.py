@@ -26,6 +26,8 @@ T = TypeVar("T")
 
 OUR_SCRIPTS = frozenset(LAUNCH_SCRIPTS.glob("*.py"))
 LAUNCHING_COMMANDS = frozenset(("attach", "demo", "live", "play"))
+VERDICT_LINE = r"^ *[\d.]+ +(unknown|doubtful|trusted|fault)"
+"""How a line begins in which a command shows a verdict: its time, and its level."""
 LAUNCHED = Path(__file__).with_name("launched.py")
 
 

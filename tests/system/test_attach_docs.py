@@ -18,7 +18,7 @@ pytest.importorskip(
 )
 
 from tests.support.places import LAUNCH_SCRIPTS, PROJECT
-from tests.support.processes import Process, Processes, run_twinmatch
+from tests.support.processes import VERDICT_LINE, Process, Processes, run_twinmatch
 from twinmatch.sessions import read_session
 
 PAGE = (PROJECT / "docs" / "attach.md").read_text(encoding="utf-8")
@@ -50,7 +50,7 @@ def test_the_page_leads_from_a_rig_to_a_verdict_and_through_a_bag(
     rig = processes.python("oven_rig.py", folder=tmp_path)
     attach, verify, list_topics, take, judge = COMMANDS
     run = forked(processes, tmp_path, attach)
-    run.said(r"^ *\d+ +(unknown|usable|doubtful|trusted|unusable|good|faulty)")
+    run.said(VERDICT_LINE)
     assert run.end(signal.SIGINT) == 0
     assert rig.running
     assert re.search(

@@ -15,7 +15,13 @@ import pytest
 
 from tests.support.broker import RunningBroker, require
 from tests.support.places import PROJECT
-from tests.support.processes import Process, Processes, no_plant_files, run_twinmatch
+from tests.support.processes import (
+    VERDICT_LINE,
+    Process,
+    Processes,
+    no_plant_files,
+    run_twinmatch,
+)
 from tests.support.waiting import wait_for
 from twinmatch.links.mqtt_client import Broker
 from twinmatch.offline.verification import verify_session
@@ -37,7 +43,6 @@ COMMANDS = [
 ]
 HURRY = 0.04
 """Seconds between two steps of the home, and between two samples: a verdict needs hundreds of them."""
-VERDICT = r"^ *\d+ +(unknown|doubtful|trusted|fault) "
 
 
 def without(*packages: str) -> str:
@@ -139,7 +144,7 @@ def test_the_page_leads_from_a_room_to_a_verdict_without_ros(
         lambda message: payloads.update({message.topic: bytes(message.payload)}),
     )
     run = home.attach("--tell", home.broker.url, without_ros=True)
-    run.said(VERDICT)
+    run.said(VERDICT_LINE)
     [address] = re.findall(r"page: (http\S+)", run.text)
     with urllib.request.urlopen(f"{address}metrics") as answer:
         assert 'twinmatch_trust_level{level="unknown"} 1.0' in answer.read().decode()
@@ -167,7 +172,7 @@ def test_where_ros_is_installed_the_graph_listens_to_the_broker(home: Home) -> N
         "twinmatch_msgs.msg", reason="twinmatch_msgs is not built; run make setup"
     )
     run = home.attach()
-    run.said(VERDICT)
+    run.said(VERDICT_LINE)
     home.broker.kill()
     run.said(
         r"sampler: health: .*the connection to the broker at 127.0.0.1:\d+ is lost"

@@ -23,7 +23,7 @@ from tests.support.bags import bag as write_bag
 from tests.support.bags import number, temperature
 from tests.support.oven import RIG, oven_file
 from tests.support.places import PROJECT, SHIPPED
-from tests.support.processes import Processes, run_twinmatch
+from tests.support.processes import VERDICT_LINE, Processes, run_twinmatch
 from twinmatch.cli import command_parser
 from twinmatch.sessions import read_session, write_session
 
@@ -67,7 +67,6 @@ SHORT = {"SESSION": "short", "SAMPLE": "405"}
 LONGER = {"SESSION": "longer"}
 SHIPPED_SHORT = {"bags/four_setpoints": "short"}
 FREE = {"--dashboard": "--dashboard 0"}
-VERDICT = r"^ *\d+ +(unknown|doubtful|trusted|fault)"
 
 RUNS = {
     "source .venv/bin/activate": Runs(
@@ -83,14 +82,14 @@ RUNS = {
         r"leader.*confidence"
     ),
     "python launch_scripts/replay.py bags/four_setpoints --dashboard": Runs(
-        VERDICT, FREE, 130
+        VERDICT_LINE, FREE, 130
     ),
     "python launch_scripts/live.py --virtual --speed 5 --dashboard --control": Runs(
         "recording into", FREE, 0
     ),
     "twinmatch foxglove": Runs("ws://127.0.0.1", {"foxglove": "foxglove --port 0"}, 0),
     ATTACH: Runs(
-        VERDICT,
+        VERDICT_LINE,
         {"--dashboard": "--dashboard 0 --session attached"},
         0,
         ("foreign_rig",),
