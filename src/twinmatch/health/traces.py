@@ -276,13 +276,15 @@ class Repeats:
         self._missed += share * (missed - self._missed)
 
     def _shown(self, movement: float) -> float:
-        """What is left of an expected movement without what was missed of such ones before the reading stood.
+        """What is left of an expected movement without what was surely missed of such ones before the reading stood.
 
         The drive of a plant may have become weak, or its losses larger: then all of its rest looks like a movement.
+        What is missed by less than the noise of a reading may be that noise: the mean is of some thirty samples.
         """
+        surely_missed = max(0.0, abs(self._missed) - self._noise)
         if movement * self._missed >= 0.0:
             return movement
-        return math.copysign(max(0.0, abs(movement) - abs(self._missed)), movement)
+        return math.copysign(max(0.0, abs(movement) - surely_missed), movement)
 
     @property
     def _coarse(self) -> bool:
