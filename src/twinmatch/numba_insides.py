@@ -12,7 +12,7 @@ import functools
 import itertools
 import pickle
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from types import FunctionType
 from typing import Any, Final
 
@@ -111,29 +111,26 @@ def make_entry(
 def _as_written() -> Iterator[None]:
     """Within the block, numba compiles parts. Its lock is held, so nobody else compiles in it."""
     codegen = cpu_target.target_context.codegen()
-    before = (
-        codegen._library_class,
-        codegen.set_env,
-        CPUContext.create_cfunc_wrapper,
-        types.Function.get_call_type,
-        NRTContext.get_meminfos,
+    replacements: tuple[tuple[Any, str, Any], ...] = (
+        (codegen, "_library_class", _Part),
+        (codegen, "set_env", lambda *_: None),
+        # numba makes an entry for C of each of its own functions
+        (CPUContext, "create_cfunc_wrapper", lambda *_: None),
+        (types.Function, "get_call_type", _call_type),
+        (NRTContext, "get_meminfos", _references),
     )
-    codegen._library_class = _Part
-    codegen.set_env = lambda *_: None
-    # numba makes an entry for C of each of its own functions
-    CPUContext.create_cfunc_wrapper = lambda *_: None
-    types.Function.get_call_type = _call_type
-    NRTContext.get_meminfos = _references
+    before = [(owner, name, getattr(owner, name)) for owner, name, _ in replacements]
     try:
+        _set_all(replacements)
         yield
     finally:
-        (
-            codegen._library_class,
-            codegen.set_env,
-            CPUContext.create_cfunc_wrapper,
-            types.Function.get_call_type,
-            NRTContext.get_meminfos,
-        ) = before
+        _set_all(before)
+
+
+def _set_all(attributes: Iterable[tuple[Any, str, Any]]) -> None:
+    """Set attributes, each given by its owner, its name and its value."""
+    for owner, name, value in attributes:
+        setattr(owner, name, value)
 
 
 _find_call_type: Final = types.Function.get_call_type

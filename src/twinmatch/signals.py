@@ -48,6 +48,7 @@ __all__ = [
     "point_values",
     "rms",
     "stretches",
+    "time_text",
     "unbroken",
 ]
 
@@ -419,6 +420,11 @@ class Window:
 def decimals_of_time(period: float) -> int:
     """Decimals with which the times of neighbouring samples differ, s; none from a period of 1 s on."""
     return max(0, math.ceil(-math.log10(period)))
+
+
+def time_text(sample: int, period: float) -> str:
+    """The time of a sample, or how long so many samples last, in a sentence, s."""
+    return f"{sample * period:.{decimals_of_time(period)}f}"
 
 
 def _check_shapes(samples: Sequence[Sample]) -> None:

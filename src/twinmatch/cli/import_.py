@@ -33,7 +33,7 @@ from twinmatch.plants import find_plant
 from twinmatch.sampling.sources import SignalMap
 from twinmatch.sessions import plant_topics, samples_of, write_session
 from twinmatch.sessions.metadata import NO_REFERENCE, PLANT
-from twinmatch.signals import Sample, decimals_of_time
+from twinmatch.signals import Sample, time_text
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     with Progress("reading") as progress:
         window = read_recording(options.recording, progress.advance)
     _write(options, samples_of(window))
-    seconds = _duration(len(window), window.period)
+    seconds = time_text(len(window), window.period)
     print(
         f"{options.output}: {len(window)} samples, {seconds} s, from {options.recording.name}"
     )
@@ -139,7 +139,7 @@ def _import_mapped(options: argparse.Namespace) -> int:
     _write(
         options, imported.samples, records={PLANT: record}, gaps=split, topics=topics
     )
-    seconds = _duration(len(imported.samples), imported.period)
+    seconds = time_text(len(imported.samples), imported.period)
     print(
         f"{options.output}: {len(imported.samples)} samples, one every {imported.period:g} s, "
         f"{seconds} s of {plant.title}, from {options.recording.name} ({columns})"
@@ -147,11 +147,6 @@ def _import_mapped(options: argparse.Namespace) -> int:
     for note in imported.notes:
         print(f"Note: {note}")
     return 0
-
-
-def _duration(samples: int, period: float) -> str:
-    """How long so many samples last, s, as text."""
-    return f"{samples * period:.{decimals_of_time(period)}f}"
 
 
 def _given(options: argparse.Namespace) -> SignalMap:

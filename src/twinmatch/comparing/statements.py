@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from twinmatch.comparing.doubts import horizon_list
 from twinmatch.comparing.verdict import LEVEL_WORDS, TrustLevel, Verdict
 from twinmatch.safety import is_limit
-from twinmatch.signals import decimals_of_time
+from twinmatch.signals import time_text
 
 _PLACE: Final = ": look at "
 """In a reason of the health monitor: what precedes the place to look at."""
@@ -83,7 +83,7 @@ class FaultStatement(NamedTuple):
         """Since when it shows, for a sample time in s; empty where that is not known."""
         if self.since is None:
             return ""
-        return f"since {self.since * period:.{decimals_of_time(period)}f} s"
+        return f"since {time_text(self.since, period)} s"
 
     def with_begin(self, period: float) -> str:
         """Name, and since when it shows, for a sample time in s."""

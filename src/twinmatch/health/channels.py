@@ -10,7 +10,7 @@ import numpy as np
 
 from twinmatch.dynamics import Parameters
 from twinmatch.health.channel_alarms import ChannelAlarm, ChannelAlarms
-from twinmatch.health.evidence import Competition, Suspect
+from twinmatch.health.evidence import Competition, Suspect, suspected_sensor
 from twinmatch.health.faults import (
     EVERY,
     SLOW,
@@ -213,16 +213,8 @@ class ChannelMonitor:
         for output in np.flatnonzero(self._impossible == _NAMING.confirm).tolist():
             if self._unbelieved.has_run_away(output):
                 continue  # it is known to lie
-            row = ChangeRow((Fault.SENSOR_IMPLAUSIBLE, output), "")
-            best = Suspect(
-                row.cause,
-                math.inf,
-                row,
-                0.0,
-                0.0,
-                self.competition.count - _NAMING.confirm,
-                -1,
-            )
+            born = self.competition.count - _NAMING.confirm
+            best = suspected_sensor(Fault.SENSOR_IMPLAUSIBLE, output, math.inf, born)
             self._raise(Fault.SENSOR_IMPLAUSIBLE, best, [best])
             # no filter has taken such readings: the newest is best
             self._unbelieved.read_through(output, 0)
@@ -253,8 +245,7 @@ class ChannelMonitor:
             )
             if born is None or not is_free:
                 continue
-            row = ChangeRow((Fault.SENSOR_FROZEN, output), "")
-            best = Suspect(row.cause, CHANGE, row, 0.0, 0.0, born, -1)
+            best = suspected_sensor(Fault.SENSOR_FROZEN, output, CHANGE, born)
             reason = self.sentences.was_frozen(output, self._index - self._begin - born)
             self._raise(Fault.SENSOR_FROZEN, best, [best], reason=reason)
             self._said.end(self._index)

@@ -100,6 +100,12 @@ class Suspect:
     """Of the end of a change, the share of the way back that is gone."""
 
 
+def suspected_sensor(fault: Fault, output: int, evidence: float, born: int) -> Suspect:
+    """A sensor that its own readings accuse since a sample, counted from the last gap; no trace follows that."""
+    row = ChangeRow((fault, output), "")
+    return Suspect(row.cause, evidence, row, 0.0, 0.0, born, -1)
+
+
 class _TracePlaces(NamedTuple):
     """Where traces are in the bank: by level, by row of the table, and then by slot."""
 
@@ -525,9 +531,10 @@ class Competition:
         for output, sensor in enumerate(self.sensors):
             evidence = self._evidence_of_frozen(sensor.frozen)
             if evidence >= _INTERESTING:
-                row = ChangeRow((Fault.SENSOR_FROZEN, output), "")
                 born = self.count - sensor.repeats
-                suspects.append(Suspect(row.cause, evidence, row, 0.0, 0.0, born, -1))
+                suspects.append(
+                    suspected_sensor(Fault.SENSOR_FROZEN, output, evidence, born)
+                )
         suspects.sort(key=lambda suspect: -suspect.evidence)
         self._suspected = bool(suspects) and suspects[0].evidence > 0.0
         return suspects

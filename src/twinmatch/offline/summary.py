@@ -18,7 +18,7 @@ from twinmatch.comparing import (
     statements_of,
 )
 from twinmatch.dynamics import Law, Parameters, Plant
-from twinmatch.signals import Window, decimals_of_time
+from twinmatch.signals import Window, time_text
 from twinmatch.twin import Fits, window_fits
 from twinmatch.twin.trust import merged
 
@@ -133,8 +133,7 @@ class LevelStretch(NamedTuple):
 
 
 def _times_text(first: int, last: int, period: float) -> str:
-    decimals = decimals_of_time(period)
-    return f"{first * period:.{decimals}f} to {last * period:.{decimals}f} s"
+    return f"{time_text(first, period)} to {time_text(last, period)} s"
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from twinmatch.comparing import LEVEL_WORDS, TrustLevel, Verdict, ahead_words
 from twinmatch.offline.summary import SessionSummary, ShownTwin
 from twinmatch.record import documents_of, finite
 from twinmatch.showing.quantities import parameter_format, percent, shown_outputs
-from twinmatch.signals import decimals_of_time
+from twinmatch.signals import time_text
 from twinmatch.twin import MatchReport
 
 MAX_FAULTS: Final = 5
@@ -107,9 +107,8 @@ def fault_spans(summary: SessionSummary) -> list[str]:
         f"{fault.fault} from {fault.fault_times(summary.period)}" for fault in faults
     ]
     if faults and faults[-1] is summary.stretches[-1]:
-        decimals = decimals_of_time(summary.period)
-        since = f"{faults[-1].begins * summary.period:.{decimals}f} s"
-        spans[-1] = f"{faults[-1].fault} since {since}"
+        begins = time_text(faults[-1].begins, summary.period)
+        spans[-1] = f"{faults[-1].fault} since {begins} s"
     return spans
 
 

@@ -27,7 +27,7 @@ from twinmatch.health.faults import HOUR
 from twinmatch.offline.summary import nominal_score
 from twinmatch.showing.family import GAIN, GAP_NOW, GAP_SUM, chosen_score
 from twinmatch.showing.quantities import number, percent, shown_signals
-from twinmatch.signals import Sample, decimals_of_time
+from twinmatch.signals import Sample, time_text
 from twinmatch.twin import MatchReport
 
 STATUS_WORDS: Final = {
@@ -74,9 +74,7 @@ class VerdictColumn(NamedTuple):
 
 
 COLUMNS: Final[dict[str, VerdictColumn]] = {
-    "t / s": VerdictColumn(
-        lambda v, period: number(v.sample * period, decimals_of_time(period)), 6
-    ),
+    "t / s": VerdictColumn(lambda v, period: time_text(v.sample, period), 6),
     "level": VerdictColumn(lambda v, _: v.level.value, 8),
     "decided": VerdictColumn(lambda v, _: _decided(v), 7),
     "order": VerdictColumn(lambda v, _: _of_order(v, lambda score: score.order), 5),

@@ -36,7 +36,7 @@ from twinmatch.showing.quantities import (
 )
 from twinmatch.showing.series import Fan, root_mean_square
 from twinmatch.showing.verdicts import events, match_word, refusal, trust_by_signal
-from twinmatch.signals import FloatArray, decimals_of_time, point_text
+from twinmatch.signals import FloatArray, point_text, time_text
 from twinmatch.twin import MatchReport
 
 Subject = TypeVar("Subject")
@@ -101,15 +101,11 @@ def _table(
 
 def event_table(verdicts: Sequence[Verdict], period: float) -> ReportTable:
     """The events of the session, in order of time."""
-    decimals = decimals_of_time(period)
     return _table(
         "What happened",
         events(verdicts),
         (
-            (
-                "t / s",
-                lambda event: Cell(number((event.sample or 0) * period, decimals)),
-            ),
+            ("t / s", lambda event: Cell(time_text(event.sample or 0, period))),
             (
                 "kind",
                 lambda event: _words(
@@ -259,10 +255,7 @@ def match_table(
         )
 
     shown: list[tuple[str, Callable[[_MatchRow], Cell]]] = [
-        (
-            "t / s",
-            lambda row: Cell(number(row.sample * period, decimals_of_time(period))),
-        ),
+        ("t / s", lambda row: Cell(time_text(row.sample, period))),
         (
             "set-point" if closed else "operating point",
             _of_report(lambda report: Cell(point_text(report.operating_point))),
@@ -528,12 +521,7 @@ def leader_forecast_table(
     shown: list[tuple[str, Callable[[Fan], Cell]]] = [
         (
             "made at / s",
-            lambda fan: _head(
-                number(
-                    fan.forecast.sample * fan.past.period,
-                    decimals_of_time(fan.past.period),
-                )
-            ),
+            lambda fan: _head(time_text(fan.forecast.sample, fan.past.period)),
         ),
         ("by", lambda fan: _words(fan.forecast.candidate)),
         (with_unit(*moves), lambda fan: _words(levels_words(fan.forecast))),
