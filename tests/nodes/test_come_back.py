@@ -55,9 +55,8 @@ class Run:
         assert not listener.health
         self.record()
         self.twin = start("twin")
-        topics = ("twin/match", "twin/model_score", "twin/state", "twin/forecast")
-        listener.spin_until(
-            lambda: all(map(listener.node.count_publishers, topics)), "the twin"
+        listener.wait_for_publishers(
+            "twin/match", "twin/model_score", "twin/state", "twin/forecast"
         )
         readers = "readers:=twin_simulator discriminator keeper recorder"
         words = (f"session:={session}", "rate:=20.0", readers, "wait_timeout:=60.0")

@@ -59,9 +59,7 @@ def test_live_verdicts_are_the_offline_ones_whatever_is_published_beside(
         start_process(name)
     requests = listener.hear(MatchRequest, "twin/match_request", EVERYTHING)
     topics = ("twin/match", "twin/match_request", "twin/model_score", "twin/state")
-    listener.spin_until(
-        lambda: all(map(listener.node.count_publishers, topics)), "the nodes"
-    )
+    listener.wait_for_nodes(*topics, readers=2)
     options = ("-p", "rate:=0.0", "-p", "wait_for:=2", "-p", "wait_timeout:=60.0")
     start_process("player", "-p", f"session:={session}", *options)
     drawn = Nonsense(46)

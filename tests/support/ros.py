@@ -79,13 +79,38 @@ class Listener:
             self.samples.publish(sample_message(sample))
 
     def wait_for_nodes(self, *topics: str, readers: int = 1) -> None:
-        """Until so many nodes read the samples and each of these topics has a publisher."""
+        """Until so many nodes read the samples and these topics are heard."""
+        self.spin_until(
+            lambda: self.samples.get_subscription_count() >= readers, "the readers"
+        )
+        self.wait_for_publishers(*topics)
 
-        def are_there() -> bool:
-            reading = self.samples.get_subscription_count() >= readers
-            return reading and all(map(self.node.count_publishers, topics))
+    def wait_for_publishers(self, *topics: str) -> None:
+        """Until each of these topics has a publisher that knows of every subscription made here so far.
 
-        self.spin_until(are_there, "the nodes")
+        A publisher that is seen here need not know yet who listens to it, and what it publishes before that is
+        lost. Nodes learn of the subscriptions of another process in the order in which they were made: a report
+        at the newest one shows that the older ones are known too.
+        """
+        reports = self.hear(DiagnosticArray, "/diagnostics", QoSProfile(depth=100))
+        self.spin_until(
+            lambda: all(map(self.node.count_publishers, topics)), "the publishers"
+        )
+
+        def publishing() -> set[str]:
+            return {
+                endpoint.node_name
+                for topic in topics
+                for endpoint in self.node.get_publishers_info_by_topic(topic)
+            }
+
+        def reporting() -> set[str]:
+            names = (s.name for message in reports for s in message.status)
+            return {name.split(":")[0].split("/")[-1] for name in names}
+
+        self.spin_until(
+            lambda: publishing() <= reporting(), "reports of the publishers"
+        )
 
     def spin_until(
         self,
