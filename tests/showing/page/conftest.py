@@ -92,6 +92,7 @@ class Browser:
             options=options, service=Service(str(shutil.which("chromedriver")))
         )
         self.driver.set_script_timeout(PATIENCE)
+        self.driver.command_executor.client_config.timeout = PATIENCE
 
     def wait_for(self, condition: Callable[[], Any], what: str) -> Any:
         """Look less often than elsewhere: a look at a page keeps its browser busy."""

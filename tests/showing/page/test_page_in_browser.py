@@ -277,9 +277,11 @@ def test_control_asks_the_controller_and_the_bridge(
             browser.click("Set")
 
         def asked(value: str, answer: str) -> bool:
+            if answer in browser.text:
+                return True
             ask(value)
             time.sleep(1.0)
-            return answer in browser.text
+            return False
 
         browser.wait_for(lambda: asked("42.5", "requested 42.5 °C"), "the answer")
         browser.wait_for(
@@ -293,10 +295,12 @@ def test_control_asks_the_controller_and_the_bridge(
         assert browser.column("output", 2, "reference")[-1] == 42.5
 
         def stopped() -> bool:
+            if "stopped on request; call clear_fault to continue" in browser.text:
+                return True
             # until the bridge has started, the page says that it is not there
             browser.click("Output off")
             time.sleep(1.0)
-            return "stopped on request; call clear_fault to continue" in browser.text
+            return False
 
         browser.wait_for(stopped, "the fault")
         browser.click("Clear fault")
@@ -528,6 +532,9 @@ def test_what_comes_is_drawn_ahead_and_can_be_asked_for(
     def missed() -> bool:
         _ask(browser, "50", "")
         time.sleep(0.5)
+        browser.wait_for(
+            lambda: "waiting for the forecast" not in browser.text, "an answer"
+        )
         return "the discriminator is not running" in browser.text
 
     browser.wait_for(missed, "a word of it")
