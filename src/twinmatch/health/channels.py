@@ -10,7 +10,7 @@ import numpy as np
 
 from twinmatch.dynamics import Parameters
 from twinmatch.health.channel_alarms import ChannelAlarm, ChannelAlarms
-from twinmatch.health.evidence import Competition, Suspect, suspected_sensor
+from twinmatch.health.evidence import Competition
 from twinmatch.health.faults import (
     EVERY,
     SLOW,
@@ -33,6 +33,7 @@ from twinmatch.health.standing import (
     StandingChanges,
     is_of_sensor,
 )
+from twinmatch.health.suspects import Suspect, suspected_sensor
 from twinmatch.health.unbelieved import UnbelievedSensors
 from twinmatch.settings import Rule
 from twinmatch.signals import Sample
@@ -219,7 +220,7 @@ class ChannelMonitor:
             # no filter has taken such readings: the newest is best
             self._unbelieved.read_through(output, 0)
         self._name_frozen_until_now()
-        self._judge_jumps(self.competition.jumped(_NAMING.confirm - 1))
+        self._judge_jumps(self.competition.jumps.together(_NAMING.confirm - 1))
         self._judge_run_away(self.competition.run_away(_NAMING.confirm))
         self._end_run_away()
         suspects = self._lost_and_weak(self.competition.suspects())
@@ -277,7 +278,7 @@ class ChannelMonitor:
         competition = self.competition
         lasted = round(RUNNING.lasts * competition.second)
         born = max(competition.count - lasted, 0)
-        moved = float(competition.moved[output])
+        moved = float(competition.runaways.moved[output])
         row = self._row_of_jump(output)
         best = Suspect(row.cause, math.inf, row, moved, 0.0, born, -1)
         self._raise(

@@ -14,8 +14,8 @@ from twinmatch.health.traces import DriveEffect, Repeats
 from twinmatch.signals import Sample
 
 if TYPE_CHECKING:  # a plant with one loop needs nothing of their arithmetic
-    from twinmatch.health.evidence import Suspect
     from twinmatch.health.hypotheses import PlacedFault
+    from twinmatch.health.suspects import Suspect
 
 
 class FaultSentences:
