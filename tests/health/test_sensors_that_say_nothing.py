@@ -166,27 +166,27 @@ def test_a_frozen_sensor_is_named_whatever_began_while_it_stood() -> None:
 def test_steps_of_a_reading_are_jumps_and_do_not_run_away() -> None:
     movement = NewestMovement(second=1.0)
     values = [40.0] * 30 + [35.0] * 30
-    assert not any(movement.take(v, True, 0.1).is_beyond_known for v in values)
+    assert not any(movement.take(v, 0.1, counts=True).is_beyond_known for v in values)
 
 
 def test_a_reading_may_move_as_far_as_it_has_before() -> None:
     movement = NewestMovement(second=1.0)
     falls = list(np.arange(80.0, 40.0, -0.4))
     rests = [40.0] * 60
-    before = [movement.take(v, True, 0.1).is_beyond_known for v in falls + rests]
-    again = [movement.take(v, True, 0.1).is_beyond_known for v in falls]
+    before = [movement.take(v, 0.1, counts=True).is_beyond_known for v in falls + rests]
+    again = [movement.take(v, 0.1, counts=True).is_beyond_known for v in falls]
     assert any(before)
     assert not any(again[20:])
     faster = list(np.arange(40.0, 0.0, -1.0))
-    assert any(movement.take(v, True, 0.1).is_beyond_known for v in faster)
+    assert any(movement.take(v, 0.1, counts=True).is_beyond_known for v in faster)
 
 
 def test_a_missing_reading_does_not_move() -> None:
     movement = NewestMovement(second=1.0)
     for _ in range(20):
-        movement.take(40.0, True, 0.1)
-    assert movement.take(0.0, False, 0.1).size == 0.0
-    assert not movement.take(30.0, True, 0.1).is_beyond_known
+        movement.take(40.0, 0.1, counts=True)
+    assert movement.take(0.0, 0.1, counts=False).size == 0.0
+    assert not movement.take(30.0, 0.1, counts=True).is_beyond_known
 
 
 @pytest.mark.parametrize(("moved", "expected"), [(-4.0, False), (-6.5, True)])

@@ -241,9 +241,8 @@ class ChannelMonitor:
         """Name sensors that have moved again, and by that show that they were frozen; forget what they showed."""
         for output, value in enumerate(self._values.tolist()):
             born = self.competition.frozen_until_now(output, value)
-            is_free = self.on is None or (
-                self.on.fault is Fault.DRIFT and not self._is_of_several
-            )
+            # This alarm is over at once: one of several sensors would be over with it, though they are still off.
+            is_free = self._is_nothing_named and not self._is_of_several
             if born is None or not is_free:
                 continue
             best = suspected_sensor(Fault.SENSOR_FROZEN, output, CHANGE, born)
@@ -305,6 +304,11 @@ class ChannelMonitor:
                 self._said.end(self._index)
 
     @property
+    def _is_nothing_named(self) -> bool:
+        """Whether no alarm is on, or only one without a name, which may have been a frozen sensor."""
+        return self.on is None or self.on.fault is Fault.DRIFT
+
+    @property
     def _is_of_several(self) -> bool:
         """Whether the alarm that is on says that several sensors are wrong at once."""
         return self.on is not None and not self.on.suspects
@@ -359,11 +363,11 @@ class ChannelMonitor:
         alarm = ChannelAlarm(
             Fault.DRIFT,
             first,
-            self._index,
-            None,
-            reason,
-            True,
-            self.sentences.signal_of(outputs[0]),
+            flagged=self._index,
+            last=None,
+            reason=reason,
+            spoils=True,
+            signal=self.sentences.signal_of(outputs[0]),
             size=math.nan,
             rivals=(),
             suspects=(),
@@ -690,7 +694,7 @@ class ChannelMonitor:
     def _name(self, best: Suspect, suspects: list[Suspect]) -> None:
         fault, signal = best.cause
         if fault is Fault.SENSOR_FROZEN:
-            if self.shows(best) and (self.on is None or self.on.fault is Fault.DRIFT):
+            if self.shows(best) and self._is_nothing_named:
                 self._raise(fault, best, suspects)
                 self.competition.sensors[signal].is_accused = True
                 self._unbelieved.leave_out(signal, best.born)
@@ -737,11 +741,11 @@ class ChannelMonitor:
         alarm = ChannelAlarm(
             fault,
             first,
-            self._index,
-            None,
-            said,
-            fault not in SLOW,
-            signal,
+            flagged=self._index,
+            last=None,
+            reason=said,
+            spoils=fault not in SLOW,
+            signal=signal,
             size=size,
             rivals=rivals if fault is Fault.DRIFT else (),
             suspects=tuple(suspects),

@@ -189,7 +189,7 @@ class Competition:
         healthy.forecasts.take(sample, values, is_taken)
         healthy.open(values, u, row)
         for sensor, value, is_sound in self._by_sensor(values, counts):
-            sensor.read(value, is_sound)
+            sensor.read(value, counts=is_sound)
         reading, variance = self._reading(values, is_taken, healthy.inputs.take(u), row)
         self._recent.take_arrived(reading.crossing.copy())
         step(
@@ -265,7 +265,7 @@ class Competition:
         gained = healthy.members.gained[healthy.best].tolist()
         readings = self._by_sensor(values, is_taken)
         without_equations = [
-            sensor.walked(value, counts, nats)
+            sensor.walked(value, nats, counts=counts)
             for (sensor, value, counts), nats in zip(readings, gained, strict=True)
         ]
         total = healthy.weigh(sum(without_equations))
@@ -289,7 +289,7 @@ class Competition:
         for (sensor, value, is_sound), nats, due in zip(
             readings, gained, expected, strict=True
         ):
-            sensor.learn(value, is_sound, nats, due)
+            sensor.learn(value, nats, due, counts=is_sound)
 
     def leave_out(self, output: int) -> None:
         """Have no filter take the readings of an output that is read through, and have all forget what they have

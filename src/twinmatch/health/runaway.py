@@ -73,8 +73,8 @@ class NewestMovement:
         self._readings = deque[float](maxlen=self._samples + 1)
         self._waiting = deque[float]()
 
-    def take(self, value: float, counts: bool, noise: float) -> ReadingMovement:
-        """Take a reading, whether it counts, and the standard deviation of its noise."""
+    def take(self, value: float, noise: float, *, counts: bool) -> ReadingMovement:
+        """Take a reading with the standard deviation of its noise, and whether it counts."""
         if not counts:
             self.restart()
             return ReadingMovement(0.0, is_beyond_known=False)
@@ -136,7 +136,7 @@ class Runaways:
         each."""
         for output, newest in enumerate(self._movements):
             movement = newest.take(
-                float(values[output]), bool(counts[output]), float(noise[output])
+                float(values[output]), float(noise[output]), counts=bool(counts[output])
             )
             self.moved[output] = movement.size
             if movement.is_beyond_known and self._is_beyond_plant(output, noise):
