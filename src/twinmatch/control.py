@@ -12,6 +12,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate, repeat
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -127,6 +128,75 @@ class Profile:
         return before + math.copysign(moved, level - before)
 
 
+class _TickGrid:
+    """Ticks one period apart: the number of each, how late it was, and which were missed.
+
+    A tick slightly before its time moves the grid, because those before it were late. One that is early by
+    half a period or more does not count: a busy machine makes up for a late call with an immediate second
+    one. If the clock is set back, the grid restarts after a gap.
+    """
+
+    def __init__(self, period: int) -> None:
+        """Begin before tick 0; `period` is the time between two ticks, ns."""
+        self._period = period
+        self.number: int | None = None
+        """Number of the newest tick; None before tick 0."""
+        self.missed = 0
+        """Ticks missed since tick 0."""
+        self.jitter = 0.0
+        """Lateness of the newest tick, s."""
+        self._newest = 0
+        """Time of the newest tick that counts, ns."""
+        self._origin = 0
+        """When tick 0 was due, ns."""
+
+    def begin(self, now: int) -> None:
+        """Have the grid start with the tick at this time, ns, as tick 0."""
+        self._origin = now
+
+    def is_set_back(self, now: int) -> bool:
+        """Whether the clock shows an earlier time, ns, than at the newest tick."""
+        return self.number is not None and now < self._newest
+
+    def place(self, now: int) -> int | None:
+        """The number of the tick at this time, ns; None if it does not count. Ask once at every tick."""
+        number = self._place(now)
+        if number is not None:
+            self._newest = now
+        return number
+
+    def _place(self, now: int) -> int | None:
+        if self.number is None:
+            return 0
+        expected = self.number + 1
+        if self.is_set_back(now):
+            self._origin = now - (expected + 1) * self._period
+            self.missed += 1
+            self.jitter = 0.0
+            return expected + 1
+        late = now - self._origin - expected * self._period
+        if late <= -self._period // 2:
+            return None
+        if late < 0:
+            self._origin += late
+            late = 0
+        skipped, lateness = divmod(late, self._period)
+        self.missed += skipped
+        self.jitter = lateness / NANOSECONDS
+        return expected + skipped
+
+
+class _Readings(NamedTuple):
+    """What was measured at one moment."""
+
+    stamp: int
+    """When, ns."""
+    outputs: Signals
+    disturbances: Signals
+    taken: Signals
+    """What the law is given in place of each output; NaN: the output itself."""
+
+
 class Loop:
     """The PIDs of a plant's loops on a grid of ticks, one period apart.
 
@@ -135,10 +205,6 @@ class Loop:
     late by a period or more means that others were missed. Neither is filled in: a sample's index is the
     number of its tick on the grid, so a gap in the indices is a gap in time; behind a long one windows of
     samples start over. The controller restarts after a gap too, bumplessly from the current output.
-
-    A tick slightly before its time moves the grid, because those before it were late. One that is early by
-    half a period or more does not count: a busy machine makes up for a late call with an immediate second
-    one. If the clock is set back, the grid restarts after a gap.
     """
 
     pids: list[Controller]
@@ -180,14 +246,10 @@ class Loop:
         """The current commands to the plant, in its units."""
         self.trouble = "no tick yet"
         """Why the output is off; empty while there are samples."""
-        self.missed = 0
-        """Ticks missed since sample 0."""
         self.idle = 0
         """Ticks since sample 0 at which there was no usable reading or set-point."""
         self.refused = 0
         """Number of unusable readings."""
-        self.jitter = 0.0
-        """Lateness of the newest tick, s."""
         self.held = False
         """Whether a fault holds the drives at rest: then the inputs are rest, in the samples too, and the
         controller continues from there."""
@@ -212,21 +274,27 @@ class Loop:
         self._restart = state is None
         self.period = law.period
         """Between two ticks, s."""
-        self._period = round(law.period * NANOSECONDS)
+        self._grid = _TickGrid(round(law.period * NANOSECONDS))
         self._max_age = round(max_age * NANOSECONDS)
-        self._outputs: Signals = ()
-        self._taken: Signals = (math.nan,) * len(self._gains)
+        self._readings: _Readings | None = None
+        """The newest ones; None before the first, and once the clock was set back."""
         self._stood_in = [False] * len(self._gains)
-        self._measured: int | None = None
-        self._disturbances: tuple[float, ...] = ()
-        self._number: int | None = None  # of the newest tick on the grid
-        self._newest = 0  # its time, ns
-        self._origin = 0  # when tick 0 was due, ns
+        """Whether each law was given something in place of its output at the newest tick."""
 
     @property
     def time(self) -> float:
         """Time from sample 0 to the newest tick in whole periods, s; 0 before sample 0."""
-        return (self._number or 0) * self.period
+        return (self._grid.number or 0) * self.period
+
+    @property
+    def missed(self) -> int:
+        """Ticks missed since sample 0."""
+        return self._grid.missed
+
+    @property
+    def jitter(self) -> float:
+        """Lateness of the newest tick, s."""
+        return self._grid.jitter
 
     @property
     def input(self) -> float:
@@ -258,21 +326,28 @@ class Loop:
         Readings that are not finite or not one of each output, or that have some but not all of the plant's
         disturbances or of what is taken, are only counted.
         """
-        read = point_values(outputs)
-        whole = len(read) == len(self.pids) and len(disturbances) in (
-            0,
-            len(self._plant.disturbances),
+        readings = _Readings(
+            stamp, point_values(outputs), tuple(disturbances), tuple(taken)
         )
-        whole = (
-            whole and len(taken) in (0, len(read)) and not any(map(math.isinf, taken))
-        )
-        if whole and all(map(math.isfinite, (*read, *disturbances))):
-            self._outputs = read
-            self._measured = stamp
-            self._disturbances = tuple(disturbances)
-            self._taken = tuple(taken) or (math.nan,) * len(read)
-        else:
+        if not self._can_use(readings):
             self.refused += 1
+        elif taken:
+            self._readings = readings
+        else:
+            each_output_itself = (math.nan,) * len(readings.outputs)
+            self._readings = readings._replace(taken=each_output_itself)
+
+    def _can_use(self, readings: _Readings) -> bool:
+        """Whether all readings are there that belong together, and are finite."""
+        if len(readings.outputs) != len(self.pids):
+            return False
+        if len(readings.disturbances) not in (0, len(self._plant.disturbances)):
+            return False
+        if len(readings.taken) not in (0, len(self.pids)):
+            return False
+        if any(map(math.isinf, readings.taken)):
+            return False
+        return all(map(math.isfinite, (*readings.outputs, *readings.disturbances)))
 
     def tick(
         self, now: int, profile: Callable[[float], Sequence[float] | float | None]
@@ -286,27 +361,35 @@ class Loop:
             profile: returns the set-points, or None, at a time since sample 0 (s), which is in whole periods
                 so that a late tick does not shift a step of the set-point.
         """
-        number = self._place(now)
+        if self._grid.is_set_back(now):
+            # stamped by the old time, they would seem fresh until the clock caught up
+            self._readings = None
+        number = self._grid.place(now)
         if number is None:
             return None
-        self._newest = now
         wanted = profile(number * self.period)
         references = None if wanted is None else point_values(wanted)
-        trouble = self._doubt(now, references)
-        if trouble or references is None:
+        readings = self._readings
+        trouble = self._doubt(now, readings, references)
+        if trouble or readings is None or references is None:
             self._switch_off(trouble, number)
             return None
-        if self._number is None:
-            self._origin = now
-        elif number != self._number + 1:
-            self._continue_after_gap(number - self._number - 1)
-        self._number = number
+        if self._grid.number is None:
+            self._grid.begin(now)
+        elif number != self._grid.number + 1:
+            self._continue_after_gap(number - self._grid.number - 1)
+        self._grid.number = number
         self.trouble = ""
         if self.trying and (self.held or min(self.limits) < math.inf):
             self.take_back("the guard holds or limits the drive")
-        commands = self._commands(references)
+        commands = self._commands(references, readings)
         return Sample(
-            number, now, references, self._outputs, tuple(commands), self._disturbances
+            number,
+            now,
+            references,
+            readings.outputs,
+            tuple(commands),
+            readings.disturbances,
         )
 
     def _switch_off(self, trouble: str, number: int) -> None:
@@ -316,9 +399,9 @@ class Loop:
         self._restart = True
         if self.trying:
             self.take_back(trouble)
-        if self._number is not None:
+        if self._grid.number is not None:
             self.idle += 1
-            self._number = number
+            self._grid.number = number
 
     def _continue_after_gap(self, missed: int) -> None:
         """Restart the controllers behind missed ticks, of which a trial has no readings."""
@@ -327,15 +410,18 @@ class Loop:
             lost = (math.nan,) * len(self.pids)
             self._show(self.trial, repeat(lost, missed))
 
-    def _commands(self, references: Signals) -> list[float]:
+    def _commands(self, references: Signals, readings: _Readings) -> list[float]:
         """The commands of this tick as far as they pass; at rest while a fault holds the drives."""
         if self.held:
             self.inputs = [drive.rest for drive in self._plant.drives.values()]
             self._restart = True
             return self.inputs
         if self.trial is not None and self.trying:
-            self._watch(self.trial, references)
-        commands = [self._step(k, references[k]) for k in range(len(self.pids))]
+            self._watch(self.trial, references, readings.outputs)
+        commands = [
+            self._step(k, references[k], readings.outputs[k], readings.taken[k])
+            for k in range(len(self.pids))
+        ]
         self._restart = False
         return commands
 
@@ -394,27 +480,28 @@ class Loop:
         if trial.drives != drove:
             self._exchange()
 
-    def _watch(self, trial: LawTrial, references: Signals) -> None:
+    def _watch(self, trial: LawTrial, references: Signals, outputs: Signals) -> None:
         """Show a trial the readings of this tick; compute the law in the shadow."""
         if references != (self._tried_at or references):
             self.take_back("the set-point has moved, for which its bands are not")
             return
         self._tried_at = references
         before = self.shadow
-        self._show(trial, [self._outputs])
+        self._show(trial, [outputs])
         if not trial.drives and not trial.ended:
             for k, pid in enumerate(self._shadows if not before else ()):
                 pid.state = self._continued(
-                    k, references[k], self._outputs[k], self._beside[k]
+                    k, references[k], outputs[k], self._beside[k]
                 )
-            loops = zip(self._shadows, references, self._outputs, strict=True)
+            loops = zip(self._shadows, references, outputs, strict=True)
             self.shadow = tuple(float(pid.step(r, y)[0]) for pid, r, y in loops)
 
-    def _step(self, k: int, reference: float) -> float:
-        """One step of a PID; returns what passes of its command."""
+    def _step(self, k: int, reference: float, reading: float, taken: float) -> float:
+        """One step of a PID, which is given `taken` in place of the reading unless that is NaN; returns what passes
+        of its command."""
         pid = self.pids[k]
-        stands_in = not math.isnan(self._taken[k])
-        output = self._taken[k] if stands_in else self._outputs[k]
+        stands_in = not math.isnan(taken)
+        output = taken if stands_in else reading
         if self._restart or stands_in != self._stood_in[k]:
             pid.state = self._continued(k, reference, output)
         self._stood_in[k] = stands_in
@@ -424,40 +511,19 @@ class Loop:
             pid.state = pid.state - np.array([excess, 0.0])
         return self.inputs[k] - excess
 
-    def _place(self, tick_time: int) -> int | None:
-        """Number of this tick on the grid; None if it does not count."""
-        if self._number is None:
-            return 0
-        expected = self._number + 1
-        late = tick_time - self._origin - expected * self._period
-        if tick_time < self._newest:  # the clock was set back
-            self._origin = tick_time - (expected + 1) * self._period
-            # stamped by the old time; it would seem fresh until the clock caught up
-            self._measured = None
-            self.missed += 1
-            self.jitter = 0.0
-            return expected + 1
-        if late <= -self._period // 2:
-            return None
-        if late < 0:
-            self._origin += late
-            late = 0
-        skipped, lateness = divmod(late, self._period)
-        self.missed += skipped
-        self.jitter = lateness / NANOSECONDS
-        return expected + skipped
-
-    def _doubt(self, tick_time: int, references: Signals | None) -> str:
+    def _doubt(
+        self, now: int, readings: _Readings | None, references: Signals | None
+    ) -> str:
         """Why there is no sample now; empty if there is one."""
         names = " and ".join(self._plant.outputs)
         sensors = dict.fromkeys(
             output.sensor for output in self._plant.outputs.values()
         )
         working = f"is the {' and the '.join(sensors)} working?"
-        if self._measured is None:
+        if readings is None:
             return f"no {names} yet; {working}"
-        if tick_time - self._measured > self._max_age:
-            age = (tick_time - self._measured) / NANOSECONDS
+        if now - readings.stamp > self._max_age:
+            age = (now - readings.stamp) / NANOSECONDS
             return f"the newest {names} is {age:.1f} s old; {working}"
         if references is None:
             return "no set-point yet"

@@ -201,7 +201,7 @@ def test_the_next_experiment_reaches_the_published_optimum() -> None:
     )
     reached = log_det(PUBLISHED) + 2.0 * best.most * np.log10(2.0)
     assert reached == pytest.approx(OPTIMUM, abs=0.06)
-    assert best.course.characters >= NEARLY * best.most
+    assert best.course.bits >= NEARLY * best.most
     assert len(best.course.rows) < STEPS
 
 
@@ -211,10 +211,10 @@ def test_it_tells_more_than_a_step_and_keeps_to_the_range(
     """In as much time, and no band leaves the range."""
     assert experiment.course.within
     step, binary, nothing = experiment.others
-    assert experiment.course.characters > max(binary.characters, nothing.characters)
-    assert experiment.course.characters > step.characters or not step.within
+    assert experiment.course.bits > max(binary.bits, nothing.bits)
+    assert experiment.course.bits > step.bits or not step.within
     # at rest in the room nothing shows
-    assert nothing.characters == pytest.approx(0.0, abs=1e-9)
+    assert nothing.bits == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_spread_after_it_is_as_predicted(experiment: NextExperiment) -> None:
@@ -280,10 +280,10 @@ def test_a_weak_drive_and_grown_losses_are_parted(level: float) -> None:
     warm = replace(lab(known_to(0.02)), states=None)
     asked = replace(terms(200.0), before=np.array([level]))
     best = next_experiment([warm], goal_named("fault", [warm], asked), asked)
-    assert best.course.characters >= NEARLY * ENOUGH
+    assert best.course.bits >= NEARLY * ENOUGH
     assert best.course.within
     assert best.others[-1].name == "nothing"
-    assert best.others[-1].characters < 0.01 * ENOUGH
+    assert best.others[-1].bits < 0.01 * ENOUGH
 
 
 def test_what_cannot_be_asked_is_said() -> None:

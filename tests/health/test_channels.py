@@ -21,10 +21,11 @@ from twinmatch.dynamics.bank import BankMembers, Reading, spawn, step, unborn
 from twinmatch.health import Fault
 from twinmatch.health.channel_alarms import ChannelAlarm
 from twinmatch.health.channels import CHANGE, ChannelMonitor
-from twinmatch.health.evidence import Competition, Suspect
+from twinmatch.health.evidence import Competition
 from twinmatch.health.faults import EVERY, EstimatedReading
 from twinmatch.health.hypotheses import ChangeRow
 from twinmatch.health.sentences import FaultSentences
+from twinmatch.health.suspects import Suspect
 from twinmatch.signals import Sample
 
 WIDE = ("T1", "T2", "Q1", "Q2")

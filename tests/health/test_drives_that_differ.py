@@ -15,8 +15,9 @@ from tests.support.recorded_kits import kit_rows
 from twinmatch.health import Fault
 from twinmatch.health.channel_alarms import ChannelAlarm
 from twinmatch.health.channels import ChannelMonitor
-from twinmatch.health.evidence import Competition, Suspect
+from twinmatch.health.evidence import Competition
 from twinmatch.health.hypotheses import CROSSES, ChangeRow
+from twinmatch.health.suspects import Suspect
 from twinmatch.signals import NANOSECONDS, Sample
 
 

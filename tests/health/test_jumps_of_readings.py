@@ -10,6 +10,9 @@ from twinmatch.control import Controller
 from twinmatch.dynamics import law_of
 from twinmatch.health.channels import ChannelMonitor
 from twinmatch.health.faults import TRAITS, Fault, Subject
+from twinmatch.health.jumps import JumpsOfReadings
+from twinmatch.health.recent_samples import RecentSamples
+from twinmatch.health.sensors import LearnedSensor
 from twinmatch.plants import TCLabBoth
 from twinmatch.signals import NANOSECONDS, Sample
 
@@ -73,3 +76,52 @@ def test_two_sensors_that_jump_by_six_steps_of_their_display_are_reported_at_onc
     assert jumps <= alarm.flagged <= jumps + 3
     assert "jumped at once" in alarm.reason
     assert monitor.estimates == ()
+
+
+def jumps_of(readings: np.ndarray, commands: np.ndarray) -> JumpsOfReadings:
+    """The jumps of one reading, whose sensor has not learned of any, and of one drive of 0 to 100 %."""
+    recent = RecentSamples(second=1.0, latest=5)
+    for reading, command in zip(readings, commands, strict=True):
+        recent.take(np.array([reading]), np.array([command]))
+    sensor = LearnedSensor(0.1, (0.0, 100.0), 1.0)
+    return JumpsOfReadings([sensor], recent, np.array([100.0]))
+
+
+STEP = 3.0
+"""°C."""
+BEHIND = 20
+"""Samples after a change of the reading."""
+
+
+def reading_that_moves(samples: int) -> np.ndarray:
+    """A reading that rises by `STEP` within so many samples, and stands before and afterwards."""
+    since = np.arange(40 + BEHIND) - 40
+    return 50.0 + STEP * np.clip((since + 1) / samples, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("late", [-4, 0, 4])
+def test_a_reading_that_moves_at_once_has_jumped_wherever_its_onset_is_put(
+    sign: float, late: int
+) -> None:
+    readings = sign * reading_that_moves(1)
+    jumps = jumps_of(readings, np.zeros(readings.size))
+    assert jumps.explain(0, sign * STEP, BEHIND - late)
+    assert not jumps.explain(0, -sign * STEP, BEHIND - late)
+    assert not jumps.explain(0, sign * 2.5 * STEP, BEHIND - late)
+
+
+def test_a_reading_that_moves_on_has_not_jumped() -> None:
+    readings = reading_that_moves(12)
+    jumps = jumps_of(readings, np.zeros(readings.size))
+    assert not jumps.explain(0, STEP, BEHIND)
+
+
+@pytest.mark.parametrize(("percent", "may_be_an_effect"), [(9.0, False), (11.0, True)])
+def test_what_moves_behind_a_step_of_a_drive_has_not_jumped(
+    percent: float, may_be_an_effect: bool
+) -> None:
+    readings = reading_that_moves(1)
+    commands = np.where(np.arange(readings.size) < 37, 0.0, percent)
+    jumps = jumps_of(readings, commands)
+    assert jumps.explain(0, STEP, BEHIND) is not may_be_an_effect

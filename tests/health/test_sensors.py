@@ -43,8 +43,8 @@ def sensor_that_stands(*runs: int) -> LearnedSensor:
     for length in runs:
         value += 0.3
         for _ in range(length):
-            sensor.read(value, True)
-            sensor.learn(value, True, math.log(0.5), value)
+            sensor.read(value, counts=True)
+            sensor.learn(value, math.log(0.5), value, counts=True)
     return sensor
 
 
@@ -59,8 +59,8 @@ def test_a_run_of_a_frozen_sensor_is_not_how_it_usually_reads() -> None:
     sensor = sensor_that_stands(*[1] * 100, 400)
     sensor.is_accused = True
     for value in (50.0, 51.0, 51.0):
-        sensor.read(value, True)
-        sensor.learn(value, True, math.log(0.5), value)
+        sensor.read(value, counts=True)
+        sensor.learn(value, math.log(0.5), value, counts=True)
     assert sensor.run_lengths.continues(300) == 0.0
 
 
@@ -79,8 +79,8 @@ def test_only_a_movement_that_stays_and_that_nobody_expected_is_a_jump(
 ) -> None:
     sensor = sensor_that_stands(*[1] * 50)  # up to 35
     for value, due in zip(readings, (expected, *readings[1:]), strict=True):
-        sensor.read(value, True)
-        sensor.learn(value, True, math.log(0.5), due)
+        sensor.read(value, counts=True)
+        sensor.learn(value, math.log(0.5), due, counts=True)
     assert sensor.jump.stays is jumps
     if jumps:
         assert (sensor.jump.age, sensor.jump.size) == (2, pytest.approx(10.0))

@@ -14,7 +14,13 @@ from twinmatch.emulation.faults import FaultSchedule, parse_faults
 from twinmatch.health.channel_alarms import ChannelAlarm
 from twinmatch.health.channels import ChannelMonitor
 from twinmatch.health.faults import Fault
-from twinmatch.health.runaway import RUNNING, NewestMovement, WayBack, runs_away
+from twinmatch.health.runaway import (
+    RUNNING,
+    NewestMovement,
+    Runaways,
+    WayBack,
+    runs_away,
+)
 from twinmatch.plants import TCLabBoth
 from twinmatch.signals import NANOSECONDS, Sample
 
@@ -24,6 +30,9 @@ HOLD = 450
 """Seconds."""
 SOON = 15
 """Seconds within which a reading that runs away is named; it has to move for ten."""
+
+RUNNING_FOR = 15
+"""Samples of a reading that runs away."""
 
 
 class Watched(NamedTuple):
@@ -157,27 +166,27 @@ def test_a_frozen_sensor_is_named_whatever_began_while_it_stood() -> None:
 def test_steps_of_a_reading_are_jumps_and_do_not_run_away() -> None:
     movement = NewestMovement(second=1.0)
     values = [40.0] * 30 + [35.0] * 30
-    assert not any(movement.take(v, True, 0.1).is_beyond_known for v in values)
+    assert not any(movement.take(v, 0.1, counts=True).is_beyond_known for v in values)
 
 
 def test_a_reading_may_move_as_far_as_it_has_before() -> None:
     movement = NewestMovement(second=1.0)
     falls = list(np.arange(80.0, 40.0, -0.4))
     rests = [40.0] * 60
-    before = [movement.take(v, True, 0.1).is_beyond_known for v in falls + rests]
-    again = [movement.take(v, True, 0.1).is_beyond_known for v in falls]
+    before = [movement.take(v, 0.1, counts=True).is_beyond_known for v in falls + rests]
+    again = [movement.take(v, 0.1, counts=True).is_beyond_known for v in falls]
     assert any(before)
     assert not any(again[20:])
     faster = list(np.arange(40.0, 0.0, -1.0))
-    assert any(movement.take(v, True, 0.1).is_beyond_known for v in faster)
+    assert any(movement.take(v, 0.1, counts=True).is_beyond_known for v in faster)
 
 
 def test_a_missing_reading_does_not_move() -> None:
     movement = NewestMovement(second=1.0)
     for _ in range(20):
-        movement.take(40.0, True, 0.1)
-    assert movement.take(0.0, False, 0.1).size == 0.0
-    assert not movement.take(30.0, True, 0.1).is_beyond_known
+        movement.take(40.0, 0.1, counts=True)
+    assert movement.take(0.0, 0.1, counts=False).size == 0.0
+    assert not movement.take(30.0, 0.1, counts=True).is_beyond_known
 
 
 @pytest.mark.parametrize(("moved", "expected"), [(-4.0, False), (-6.5, True)])
@@ -186,6 +195,23 @@ def test_a_movement_is_compared_with_the_farthest_of_the_plant(
 ) -> None:
     """A fall of 2 °C at most, 2.5 times as far, and eight noises of 0.1 °C."""
     assert runs_away(moved, (-2.0, 9.0), 0.1) is expected
+
+
+def test_a_reading_runs_away_while_it_moves_farther_than_its_plant_can() -> None:
+    """In ten seconds the first reading rises by 5 °C, the second by half of that, and the plant by 1.5 °C at most."""
+    farthest = (np.array([-1.0, -1.0]), np.array([1.5, 1.5]))
+    runaways = Runaways(2, 1.0, lambda: farthest)
+    noise = np.array([0.05, 0.05])
+    counts = np.ones(2, dtype=bool)
+    both = np.ones(2, dtype=bool)
+    for k in range(RUNNING_FOR):
+        runaways.take(np.array([20.0 + 0.5 * k, 20.0 + 0.25 * k]), counts, noise)
+    assert runaways.moved.tolist() == [5.0, 2.5]
+    assert runaways.lasting(1, both) == [0]
+    assert runaways.lasting(RUNNING_FOR, both) == []
+    assert runaways.lasting(1, np.array([False, True])) == []
+    runaways.take(np.array([20.0, 20.0]), np.zeros(2, dtype=bool), noise)
+    assert runaways.lasting(1, both) == []
 
 
 def test_a_plant_that_cools_down_to_a_lying_sensor_does_not_bring_it_back() -> None:

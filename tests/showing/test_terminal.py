@@ -35,6 +35,7 @@ def shown(
     height: int = 60,
     *,
     until: int = 720,
+    period: float = 1.0,
     **options: object,
 ) -> str:
     """Everything that was written to a terminal of this size while the run continued and ended."""
@@ -42,7 +43,7 @@ def shown(
     console = Console(
         file=stream, force_terminal=True, width=width, height=height, **options
     )  # type: ignore[arg-type]
-    screen = Screen(console, judged.name, 1.0, len(judged.samples))
+    screen = Screen(console, judged.name, period, len(judged.samples))
     screen.open()
     tell(screen, judged, until)
     screen.close()
@@ -125,6 +126,18 @@ def test_level_progress_fault_and_events_are_reported(judged: Judgement) -> None
     assert f"{nominal_score(first_fault).name} is nominal" in text  # type: ignore[union-attr]
     assert f"{next(v.leader for v in judged.verdicts if v.leader)} leads" in text
     assert re.search(r"\x1b\[[0-9;]*31[0-9;]*m FAULT ", written)
+
+
+def test_times_of_a_fast_plant_have_the_decimals_of_its_period(
+    judged: Judgement,
+) -> None:
+    lines = last_screen(shown(judged, 120, period=0.01))
+    text = " ".join(" ".join(lines).split())
+    first_fault = next(v for v in judged.verdicts if v.fault)
+    assert f"since {0.01 * first_fault.fault_since:.2f} s" in text
+    assert f"{0.01 * first_fault.sample:.2f} s ! fault: drive-lost" in text
+    newest = judged.verdicts[-1]
+    assert f"at {0.01 * newest.sample:.2f} s: " in text
 
 
 @pytest.mark.parametrize("width", [30, 60, 80, 100])

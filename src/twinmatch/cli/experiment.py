@@ -177,7 +177,7 @@ def run(options: argparse.Namespace) -> int:
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415
 
         save(draw_experiment(experiment), options.figure)
-    return 0 if experiment.course.characters >= LEAST else 3
+    return 0 if experiment.course.bits >= LEAST else 3
 
 
 def _opened(options: argparse.Namespace) -> Session:

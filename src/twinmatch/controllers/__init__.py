@@ -34,7 +34,7 @@ from twinmatch.controllers.learning_goals import (
 from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.next_experiment import (
     NextExperiment,
-    characters_by,
+    bits_by,
     next_experiment,
 )
 from twinmatch.controllers.responses import CourseFigure
@@ -70,7 +70,7 @@ __all__ = [
     "TriedTwin",
     "WholeLoop",
     "as_linear",
-    "characters_by",
+    "bits_by",
     "compared",
     "gains_from",
     "goal_named",

@@ -2,9 +2,9 @@
 
 A twin's outputs under a course are taken as linear in what its recording leaves open. With J, their
 derivatives by the open parameters in units of the noise, and P, the covariance of these, the course tells
-½ log₂ det(I + P JᵀJ) characters (of one bit each) of them. Commands are given: whatever the law did, readings
-differ from these outputs by their noise alone. Of two twins, one saves as many characters as its rival's
-misses cost after the rival was fitted again within its own P.
+½ log₂ det(I + P JᵀJ) bits of them. Commands are given: whatever the law did, readings differ from these
+outputs by their noise alone. Of two twins, one saves as many bits as its rival's misses cost after the rival was
+fitted again within its own P.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class CourseWorth(NamedTuple):
     name: str
     rows: FloatArray
     """Set-points or inputs, shape (N, c)."""
-    characters: float
+    bits: float
     within: bool
     """Whether every band stays in the range."""
     spreads: FloatArray
@@ -102,10 +102,10 @@ class CourseWorth(NamedTuple):
 
 
 class RatedCourse(NamedTuple):
-    """A course and the characters that it brings."""
+    """A course and the bits that it brings."""
 
     curve: FloatArray
-    """Characters up to every mark."""
+    """Bits up to every mark."""
     staircase: Staircase
 
 
@@ -141,7 +141,7 @@ class ExperimentSearch:
     def curve(
         self, staircase: Staircase, *, leaders: bool = False
     ) -> FloatArray | None:
-        """Characters at every mark, of the leaders nearly; None if a band leaves the range."""
+        """Bits at every mark, of the leaders nearly; None if a band leaves the range."""
         rows = self.rows(staircase)
         contenders = self.goal.contenders
         if leaders and not self.goal.pairs:
@@ -153,7 +153,7 @@ class ExperimentSearch:
             self.run(twin, rows).within(self.terms.outputs) for twin in self.others
         ):
             return None
-        return self._characters(runs, self.marks, from_one_side=leaders)
+        return self._bits(runs, self.marks, from_one_side=leaders)
 
     def rated(
         self, staircase: Staircase, *, leaders: bool = False
@@ -184,9 +184,9 @@ class ExperimentSearch:
         n = len(root)
         open_share = np.linalg.inv(information_of(family[0].slopes, end)[0])[:n, :n]
         covariance = root @ open_share @ root.T
-        characters = float(self._characters(runs, end)[0])
+        bits = float(self._bits(runs, end)[0])
         return CourseWorth(
-            name, rows, characters, is_within, np.sqrt(np.diag(covariance)), family
+            name, rows, bits, is_within, np.sqrt(np.diag(covariance)), family
         )
 
     def run(
@@ -252,7 +252,7 @@ class ExperimentSearch:
         )
         return np.asarray(model.rest + (run.inputs - model.rest) / share)
 
-    def _characters(
+    def _bits(
         self,
         runs: Sequence[PredictedRun],
         marks: NDArray[np.int64],
@@ -277,7 +277,7 @@ class ExperimentSearch:
         *,
         from_one_side: bool,
     ) -> list[FloatArray]:
-        """Of every contender, the characters that its nearest rival loses."""
+        """Of every contender, the bits that its nearest rival loses."""
         apart: dict[tuple[int, int], FloatArray] = {}
         for a, b in permutations(range(len(runs)), 2):
             if from_one_side and a > b:
@@ -294,12 +294,12 @@ class ExperimentSearch:
     def _learned(
         self, k: int, run: PredictedRun, marks: NDArray[np.int64]
     ) -> FloatArray:
-        """Characters that a course tells of contender number k: of its open parameters, or of the
+        """Bits that a course tells of contender number k: of its open parameters, or of the
         combination that is asked for."""
         information = information_of(run.slopes, marks)
         root = self.goal.contenders[k].root
         if not self.goal.directions:
-            return characters_of(information, len(root))
+            return bits_of(information, len(root))
         direction = np.zeros(information.shape[1])
         direction[: len(root)] = root.T @ self.goal.directions[k]
         repeated = np.tile(direction, (len(marks), 1))[:, :, None]
@@ -309,7 +309,7 @@ class ExperimentSearch:
     def _apart(
         self, run: PredictedRun, rival: Contender, marks: NDArray[np.int64]
     ) -> FloatArray:
-        """Characters that a contender's readings cost its rival, fitted to them again, at these ends."""
+        """Bits that a contender's readings cost its rival, fitted to them again, at these ends."""
         rival_run = self.run(rival, run.outputs, run.inputs)
         miss = (run.outputs - rival_run.outputs) / rival_run.noise
         information = information_of(rival_run.slopes, marks)
@@ -327,7 +327,7 @@ def information_of(slopes: FloatArray, marks: NDArray[np.int64]) -> FloatArray:
     return np.asarray(np.eye(slopes.shape[2]) + sums)
 
 
-def characters_of(whole: FloatArray, known: int) -> FloatArray:
+def bits_of(whole: FloatArray, known: int) -> FloatArray:
     """What readings tell of the first parameters, given I + JᵀJ of all, shape (marks, n, n)."""
     nuisance = whole[:, known:, known:]
     return np.asarray(

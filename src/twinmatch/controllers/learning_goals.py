@@ -23,7 +23,7 @@ _NINE_IN_TEN: Final = 1.2816
 ENOUGH: Final = (
     0.5 * (_NINE_IN_TEN + math.sqrt(_NINE_IN_TEN**2 + 2.0 * LEAD)) ** 2 / math.log(2.0)
 )
-"""Expected characters after which nine of ten runs decide: noise moves a lead of n nats by √(2 n)."""
+"""Expected bits after which nine of ten runs decide: noise moves a lead of n nats by √(2 n)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ class LearningGoal:
 
     @property
     def most(self) -> float:
-        """Characters from which on more is not needed."""
+        """Bits from which on more is not needed."""
         return ENOUGH if self.pairs else math.inf
 
 

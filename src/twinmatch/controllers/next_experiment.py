@@ -21,7 +21,7 @@ from twinmatch.controllers.experiment_search import (
     CourseWorth,
     ExperimentSearch,
     RatedCourse,
-    characters_of,
+    bits_of,
     information_of,
 )
 from twinmatch.controllers.learning_goals import LearningGoal
@@ -31,7 +31,7 @@ from twinmatch.signals import FloatArray
 NEARLY: Final = 0.9
 """Share of the most that can be known which the shortest course has to reach."""
 LEAST: Final = 1.0
-"""Least characters that make a course worth its time."""
+"""Least bits that make a course worth its time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class NextExperiment:
     course: CourseWorth
     others: tuple[CourseWorth, ...]
     most: float
-    """Characters of the best course of full length."""
+    """Bits of the best course of full length."""
 
 
 def next_experiment(
@@ -58,7 +58,7 @@ def next_experiment(
     """The shortest course that brings nearly as much as the best; `watch` is called with work done and all.
 
     Nothing is moved, and the rest of a course that runs already, `running`, shape (N, c), is kept, unless
-    the bands leave the range or another course brings a character more.
+    the bands leave the range or another course brings a bit more.
 
     Raises:
         ControllerError: no course keeps to the range, or a twin cannot be held where it begins.
@@ -139,20 +139,20 @@ def _worth_unless_known(
     calm = np.tile(search.base, (len(rows), 1))
     for alternative_rows in [calm] if running is None else [calm, running]:
         alternative = search.worth("proposed", alternative_rows)
-        if alternative.within and alternative.characters > best.characters - LEAST:
+        if alternative.within and alternative.bits > best.bits - LEAST:
             best = alternative
     return best
 
 
-def characters_by(
+def bits_by(
     found: NextExperiment, outputs: FloatArray, inputs: FloatArray
 ) -> FloatArray:
-    """What readings, shape (N, o), under commands, shape (N, m), say of each contender, in characters, shape
+    """What readings, shape (N, o), under commands, shape (N, m), say of each contender, in bits, shape
     (contenders,): of those to be told apart how well each predicted them, of others how much narrower their
     parameters are."""
     search = ExperimentSearch([found.leader], found.goal, found.terms)
     end = np.array([len(outputs)])
-    characters = []
+    bits = []
     for contender in found.goal.contenders:
         run = search.run(contender, outputs, inputs)
         information = information_of(run.slopes, end)
@@ -160,12 +160,10 @@ def characters_by(
             miss = (outputs - run.outputs) / run.noise
             pull = np.einsum("ko,koi->i", miss, run.slopes)
             cost = np.sum(miss**2) - pull @ np.linalg.solve(information[0], pull)
-            characters.append(
-                -characters_of(information, 0)[0] - 0.5 * cost / math.log(2.0)
-            )
+            bits.append(-bits_of(information, 0)[0] - 0.5 * cost / math.log(2.0))
         else:
-            characters.append(characters_of(information, len(contender.root))[0])
-    return np.array(characters)
+            bits.append(bits_of(information, len(contender.root))[0])
+    return np.array(bits)
 
 
 def _delay(curve: FloatArray, reach: float) -> float:

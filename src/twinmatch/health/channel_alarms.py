@@ -6,8 +6,8 @@ from collections import deque
 from dataclasses import dataclass, replace
 from typing import Final
 
-from twinmatch.health.evidence import Suspect
 from twinmatch.health.faults import Alarm, Fault, touching
+from twinmatch.health.suspects import Suspect
 
 _KEPT: Final = 1000
 """Number of alarms kept."""

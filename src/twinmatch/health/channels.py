@@ -10,7 +10,7 @@ import numpy as np
 
 from twinmatch.dynamics import Parameters
 from twinmatch.health.channel_alarms import ChannelAlarm, ChannelAlarms
-from twinmatch.health.evidence import Competition, Suspect, suspected_sensor
+from twinmatch.health.evidence import Competition
 from twinmatch.health.faults import (
     EVERY,
     SLOW,
@@ -33,6 +33,7 @@ from twinmatch.health.standing import (
     StandingChanges,
     is_of_sensor,
 )
+from twinmatch.health.suspects import Suspect, suspected_sensor
 from twinmatch.health.unbelieved import UnbelievedSensors
 from twinmatch.settings import Rule
 from twinmatch.signals import Sample
@@ -219,7 +220,7 @@ class ChannelMonitor:
             # no filter has taken such readings: the newest is best
             self._unbelieved.read_through(output, 0)
         self._name_frozen_until_now()
-        self._judge_jumps(self.competition.jumped(_NAMING.confirm - 1))
+        self._judge_jumps(self.competition.jumps.together(_NAMING.confirm - 1))
         self._judge_run_away(self.competition.run_away(_NAMING.confirm))
         self._end_run_away()
         suspects = self._lost_and_weak(self.competition.suspects())
@@ -240,9 +241,8 @@ class ChannelMonitor:
         """Name sensors that have moved again, and by that show that they were frozen; forget what they showed."""
         for output, value in enumerate(self._values.tolist()):
             born = self.competition.frozen_until_now(output, value)
-            is_free = self.on is None or (
-                self.on.fault is Fault.DRIFT and not self._is_of_several
-            )
+            # This alarm is over at once: one of several sensors would be over with it, though they are still off.
+            is_free = self._is_nothing_named and not self._is_of_several
             if born is None or not is_free:
                 continue
             best = suspected_sensor(Fault.SENSOR_FROZEN, output, CHANGE, born)
@@ -277,7 +277,7 @@ class ChannelMonitor:
         competition = self.competition
         lasted = round(RUNNING.lasts * competition.second)
         born = max(competition.count - lasted, 0)
-        moved = float(competition.moved[output])
+        moved = float(competition.runaways.moved[output])
         row = self._row_of_jump(output)
         best = Suspect(row.cause, math.inf, row, moved, 0.0, born, -1)
         self._raise(
@@ -302,6 +302,11 @@ class ChannelMonitor:
             )
             if is_of_several or self._said.is_on(Fault.SENSOR_DRIFT, output):
                 self._said.end(self._index)
+
+    @property
+    def _is_nothing_named(self) -> bool:
+        """Whether no alarm is on, or only one without a name, which may have been a frozen sensor."""
+        return self.on is None or self.on.fault is Fault.DRIFT
 
     @property
     def _is_of_several(self) -> bool:
@@ -358,11 +363,11 @@ class ChannelMonitor:
         alarm = ChannelAlarm(
             Fault.DRIFT,
             first,
-            self._index,
-            None,
-            reason,
-            True,
-            self.sentences.signal_of(outputs[0]),
+            flagged=self._index,
+            last=None,
+            reason=reason,
+            spoils=True,
+            signal=self.sentences.signal_of(outputs[0]),
             size=math.nan,
             rivals=(),
             suspects=(),
@@ -689,7 +694,7 @@ class ChannelMonitor:
     def _name(self, best: Suspect, suspects: list[Suspect]) -> None:
         fault, signal = best.cause
         if fault is Fault.SENSOR_FROZEN:
-            if self.shows(best) and (self.on is None or self.on.fault is Fault.DRIFT):
+            if self.shows(best) and self._is_nothing_named:
                 self._raise(fault, best, suspects)
                 self.competition.sensors[signal].is_accused = True
                 self._unbelieved.leave_out(signal, best.born)
@@ -736,11 +741,11 @@ class ChannelMonitor:
         alarm = ChannelAlarm(
             fault,
             first,
-            self._index,
-            None,
-            said,
-            fault not in SLOW,
-            signal,
+            flagged=self._index,
+            last=None,
+            reason=said,
+            spoils=fault not in SLOW,
+            signal=signal,
             size=size,
             rivals=rivals if fault is Fault.DRIFT else (),
             suspects=tuple(suspects),

@@ -7,9 +7,7 @@ of the code of the readings since is its evidence.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -27,15 +25,14 @@ from twinmatch.dynamics.bank import (
 from twinmatch.health.acting_inputs import CROSSING
 from twinmatch.health.change_table import BETWEEN_ONSETS, ChangeTable
 from twinmatch.health.faults import EVERY, HOUR, TRAITS, Fault, Subject
-from twinmatch.health.hypotheses import (
-    ChangeRow,
-    PlacedFault,
-    rows_of,
-)
+from twinmatch.health.hypotheses import ChangeRow, rows_of
+from twinmatch.health.jumps import JumpsOfReadings
 from twinmatch.health.mixture import HealthyMixture
 from twinmatch.health.reading_through import ReadThrough, Rehearsal
-from twinmatch.health.runaway import RUNNING, NewestMovement, runs_away
+from twinmatch.health.recent_samples import REMEMBERED, RecentSamples
+from twinmatch.health.runaway import RUNNING, Runaways
 from twinmatch.health.sensors import Jump, LearnedSensor
+from twinmatch.health.suspects import Suspect, suspected_sensor
 from twinmatch.settings import Rule
 from twinmatch.signals import BoolArray, FloatArray, Sample
 
@@ -44,66 +41,27 @@ _INEXACT: Final = 3.0
 1.3, those of the package `tclab` to 5 where set-points have moved, a fermenter in a file of lags to 4.6."""
 
 
-class _Following(Rule):
-    """Which onsets are followed, and from when on sensors are read through."""
+class _ReadingThrough(Rule):
+    """When it is known what an estimate without a sensor is worth; times in s of a plant as fast as the rig."""
 
-    slots: int = 6
-    """Onsets of every change that are followed in each level."""
-    reach: float = 480.0
-    """Age after which an onset is forgotten, s."""
-    before: float = 30.0
-    """Time before the onset of a change at which the plant is taken to have been as before, s: a change is often
-    said to have begun some seconds late, when it has been learned in part."""
     rehearsed: float = 300.0
-    """Time from which on the plant is known well enough to read through a sensor, s."""
+    """Time from which on the plant is known well enough to read through a sensor."""
     known_well: float = 900.0
-    """Time from which on a rehearsal shows what later estimates are worth, s: what begins before is off
-    by 1.5 to 2.5 °C on a kit whose later rehearsals are off by 0.1 to 0.4 °C."""
+    """Time from which on a rehearsal shows what later estimates are worth: what begins before is off by 1.5 to 2.5 °C
+    on a kit whose later rehearsals are off by 0.1 to 0.4 °C."""
 
 
-_FOLLOWING: Final = _Following()
+_READING_THROUGH: Final = _ReadingThrough()
 
 
-_AT_ONCE: Final = 0.5
-"""Share of what a reading is said to be off by from which on it has jumped, and of a jump by which one that
-follows its plant moves on behind it."""
-_SAMPLES_OF_JUMP: Final = 3
-"""Most samples in which a reading jumps, however slow the plant is: a fast output of it has moved by as much in a few
-more."""
-_STEP: Final = 0.1
-"""Share of its range by which a drive has stepped."""
+_SLOTS: Final = 6
+"""Onsets of every change that are followed in each level."""
 _LEAST_LOG_WEIGHT: Final = math.log(0.01)
 """Log-weight of a level from which on changes begin in it."""
 _CERTAIN: Final = 2.0
 """Standard deviations of what may cross up to which it may."""
 _INTERESTING: Final = -6.0
 """Evidence below which a cause is not looked at, nats."""
-
-
-@dataclass(frozen=True)
-class Suspect:
-    """A cause that may explain the readings, and how well it does."""
-
-    cause: PlacedFault
-    evidence: float
-    """Nats beyond its price."""
-    row: ChangeRow
-    shift: float
-    """Believed size of the change, as its row has it."""
-    error: float
-    """Standard deviation of that size."""
-    born: int
-    """Sample at which it began, counted from the last gap."""
-    hypothesis: int
-    """Its place among the traces; −1: it has none."""
-    returned: float = 0.0
-    """Of the end of a change, the share of the way back that is gone."""
-
-
-def suspected_sensor(fault: Fault, output: int, evidence: float, born: int) -> Suspect:
-    """A sensor that its own readings accuse since a sample, counted from the last gap; no trace follows that."""
-    row = ChangeRow((fault, output), "")
-    return Suspect(row.cause, evidence, row, 0.0, 0.0, born, -1)
 
 
 class _TracePlaces(NamedTuple):
@@ -115,16 +73,16 @@ class _TracePlaces(NamedTuple):
     @property
     def total(self) -> int:
         """Number of traces for which there is room."""
-        return self.levels * self.rows * _FOLLOWING.slots
+        return self.levels * self.rows * _SLOTS
 
     def of(self, level: int, row: int) -> range:
         """The places of a row's traces in a level."""
-        begin = (level * self.rows + row) * _FOLLOWING.slots
-        return range(begin, begin + _FOLLOWING.slots)
+        begin = (level * self.rows + row) * _SLOTS
+        return range(begin, begin + _SLOTS)
 
     def row_of(self, trace: int) -> int:
         """The row of a trace."""
-        return trace // _FOLLOWING.slots % self.rows
+        return trace // _SLOTS % self.rows
 
 
 class ExpectedEnd(NamedTuple):
@@ -154,11 +112,13 @@ class Competition:
         """Of each sensor that is right: how far off it is when it is read through."""
         self.through: dict[int, ReadThrough] = {}
         """Estimates of the outputs whose sensors lie, by their places."""
-        self._movements = [NewestMovement(self.second) for _ in outputs]
-        self._runs_away = [0 for _ in outputs]
-        """For how many samples in a row each reading has run away."""
-        self.moved = np.zeros(len(self.sensors))
-        """By how much each reading has moved lately, in its unit."""
+        self._recent = RecentSamples(self.second, self.healthy.inputs.latest)
+        drives = self._model.plant.drives.values()
+        limits = np.array([drive.limits for drive in drives])
+        self.jumps = JumpsOfReadings(self.sensors, self._recent, np.ptp(limits, axis=1))
+        self.runaways = Runaways(
+            len(self.sensors), self.second, self._farthest_movements
+        )
         self.untaken: set[int] = set()
         """Outputs whose readings no filter takes, as they say nothing of the plant."""
         self.expect_back([])
@@ -178,29 +138,12 @@ class Competition:
         """Start over after a gap, keeping what was learned about the plant."""
         self.count = 0
         """Samples since the last gap."""
-        remembered = (_FOLLOWING.reach + _FOLLOWING.before) * self.second
-        self._beliefs = deque[FloatArray](
-            maxlen=math.ceil(remembered / self._between_onsets) + 1
-        )
-        """What was believed when changes began to be followed, the newest last."""
-        self._commands = deque[FloatArray](
-            maxlen=round(_FOLLOWING.reach * self.second) + self.healthy.inputs.latest
-        )
-        """The newest ones, of each drive, as distances from rest."""
-        self._arrived = deque[FloatArray](
-            maxlen=round((_FOLLOWING.reach + CROSSING.usual) * self.second)
-        )
-        """What arrived lately of each drive at the places of the others."""
-        self._values = deque[FloatArray](
-            maxlen=round((_FOLLOWING.reach + 4.0 * BETWEEN_ONSETS) * self.second) + 3
-        )
-        """The newest readings, of all outputs."""
+        self._recent.restart()
         self.healthy.restart()
         for sensor, rehearsal in zip(self.sensors, self.rehearsals, strict=True):
             sensor.restart()
             rehearsal.drop()
-        for movement in self._movements:
-            movement.restart()
+        self.runaways.restart()
         self._clear()
 
     def _clear(self) -> None:
@@ -238,19 +181,17 @@ class Competition:
         """Take the readings of a sample, and which of them count."""
         healthy = self.healthy
         is_taken = counts & ~self._are_among(self.untaken)
-        reach = round(_FOLLOWING.reach * self.second)
-        if self.count and self.count % self._between_onsets == 0:
-            self._begin_traces(reach)
+        if self.count and self.count % self._recent.between_onsets == 0:
+            self._begin_traces()
         row = self._model.disturbance_row(sample.disturbances or None)
         u = np.array(sample.inputs)
-        self._commands.append(np.abs(u - self._model.rest))
-        self._values.append(values)
+        self._recent.take(values, np.abs(u - self._model.rest))
         healthy.forecasts.take(sample, values, is_taken)
         healthy.open(values, u, row)
         for sensor, value, is_sound in self._by_sensor(values, counts):
-            sensor.read(value, is_sound)
+            sensor.read(value, counts=is_sound)
         reading, variance = self._reading(values, is_taken, healthy.inputs.take(u), row)
-        self._arrived.append(reading.crossing.copy())
+        self._recent.take_arrived(reading.crossing.copy())
         step(
             self._model.kernels.code,
             healthy.fixed,
@@ -273,12 +214,30 @@ class Competition:
             count=self.count,
             known=healthy.known,
             best=healthy.best,
-            reach=reach,
+            reach=self._recent.reach,
         )
         self._learn(values, counts)
         self.count += 1
         healthy.known += 1
-        self._follow_movements(values, counts)
+        noise = np.array([sensor.noise for sensor in self.sensors])
+        self.runaways.take(values, counts, np.maximum(noise, self._model.noise))
+
+    def _farthest_movements(self) -> tuple[FloatArray, FloatArray]:
+        """By how much the plant, as it was believed to be before, lets each output fall and rise at most while readings
+        run away, shape (o,) each."""
+        before = self.believed_before(self.count - self.runaways.lasts)
+        since = REMEMBERED.before + RUNNING.lasts
+        return self.healthy.farthest_movements(before, since, RUNNING.lasts)
+
+    def run_away(self, samples: int) -> list[int]:
+        """Outputs whose readings have run away for so many samples, which the equations forecast well before; with
+        one, those that begin to."""
+        if self.known < _READING_THROUGH.rehearsed:
+            return []
+        variance = np.array([sensor.variance for sensor in self.sensors])
+        is_forecast_well = self.healthy.forecasts.skill.knows(variance)
+        may_be_accused = is_forecast_well & ~self._are_among(self.untaken)
+        return self.runaways.lasting(samples, may_be_accused)
 
     def _are_among(self, outputs: Collection[int]) -> BoolArray:
         """Which outputs are among these, shape (o,)."""
@@ -306,7 +265,7 @@ class Competition:
         gained = healthy.members.gained[healthy.best].tolist()
         readings = self._by_sensor(values, is_taken)
         without_equations = [
-            sensor.walked(value, counts, nats)
+            sensor.walked(value, nats, counts=counts)
             for (sensor, value, counts), nats in zip(readings, gained, strict=True)
         ]
         total = healthy.weigh(sum(without_equations))
@@ -330,45 +289,7 @@ class Competition:
         for (sensor, value, is_sound), nats, due in zip(
             readings, gained, expected, strict=True
         ):
-            sensor.learn(value, is_sound, nats, due)
-
-    def _follow_movements(self, values: FloatArray, counts: BoolArray) -> None:
-        """Note which readings move farther than the plant can."""
-        for output, sensor in enumerate(self.sensors):
-            usual = self._model.noise[output]
-            noise = max(sensor.noise, usual)
-            movement = self._movements[output].take(
-                float(values[output]), bool(counts[output]), noise
-            )
-            self.moved[output] = movement.size
-            if movement.is_beyond_known and self._is_beyond_plant(
-                output, movement.size, noise
-            ):
-                self._runs_away[output] += 1
-            else:
-                self._runs_away[output] = 0
-
-    def _is_beyond_plant(self, output: int, moved: float, noise: float) -> bool:
-        """Whether the plant, as it was known before, cannot move an output so far in so short a time."""
-        began = self.count - round(RUNNING.lasts * self.second)
-        before = self.believed_before(began)
-        since = _FOLLOWING.before + RUNNING.lasts
-        falls, rises = self.healthy.farthest_movements(before, since, RUNNING.lasts)
-        return runs_away(moved, (float(falls[output]), float(rises[output])), noise)
-
-    def run_away(self, samples: int) -> list[int]:
-        """Outputs whose readings have run away for so many samples, which the equations forecast well before; with
-        one, those that begin to."""
-        if self.known < _FOLLOWING.rehearsed:
-            return []
-        variance = np.array([sensor.variance for sensor in self.sensors])
-        knows = self.healthy.forecasts.skill.knows(variance)
-        lasted = {
-            output: lasted
-            for output, lasted in enumerate(self._runs_away)
-            if lasted > 0 and knows[output] and output not in self.untaken
-        }
-        return [*lasted] if max(lasted.values(), default=0) >= samples else []
+            sensor.learn(value, nats, due, counts=is_sound)
 
     def leave_out(self, output: int) -> None:
         """Have no filter take the readings of an output that is read through, and have all forget what they have
@@ -408,8 +329,8 @@ class Competition:
         )
         return reading, variance
 
-    def _begin_traces(self, reach: int) -> None:
-        """Follow changes that begin now, and forget those that began `reach` samples ago."""
+    def _begin_traces(self) -> None:
+        """Follow changes that begin now, and forget those that began too long ago."""
         healthy = self.healthy
         if not self._suspected and healthy.choose_way():
             self._clear()
@@ -423,17 +344,12 @@ class Competition:
             weights,
             _LEAST_LOG_WEIGHT,
             healthy.inputs.usual,
-            reach,
+            self._recent.reach,
             self.count,
         )
-        self._beliefs.append(healthy.members.at[healthy.best].copy())
+        self._recent.take_belief(healthy.members.at[healthy.best].copy())
         for place, end in enumerate(self._ends):
             self._aim(end, len(self._usual) + place)
-
-    @property
-    def _between_onsets(self) -> int:
-        """Number of samples between two onsets."""
-        return max(1, round(BETWEEN_ONSETS * self.second))
 
     def _aim(self, end: ExpectedEnd, place: int) -> None:
         """Have the onsets of an end that begin now lead back to what was believed before; `place` is that of its
@@ -466,12 +382,10 @@ class Competition:
 
     def believed_before(self, born: int) -> FloatArray:
         """What was believed before a change that began at a sample, shape (N,)."""
-        if not self._beliefs:
+        remembered = self._recent.believed_before(self.count - born)
+        if remembered is None:
             return np.array(self.healthy.members.at[self.healthy.best])
-        since = self.count - born + _FOLLOWING.before * self.second
-        newest = len(self._beliefs) - 1
-        back = math.ceil(since / self._between_onsets)
-        return self._beliefs[max(newest - back, 0)]
+        return remembered
 
     def change_since(self, row: ChangeRow, before: FloatArray) -> float:
         """How far the number of a row is now from what was believed before."""
@@ -495,11 +409,12 @@ class Competition:
         for output, rehearsal in enumerate(self.rehearsals):
             if (
                 rehearsal.on is None
-                and self.known >= _FOLLOWING.rehearsed
+                and self.known >= _READING_THROUGH.rehearsed
                 and not self.through
             ):
                 rehearsal.begin(
-                    self._without(output, 0), early=self.known < _FOLLOWING.known_well
+                    self._without(output, 0),
+                    early=self.known < _READING_THROUGH.known_well,
                 )
             rehearsal.push(reading, float(variance[output]), output)
 
@@ -601,7 +516,7 @@ class Competition:
         sensor = self.sensors[output]
         run = sensor.ended_run
         estimator = self.rehearsals[output].newest
-        if run is None or estimator is None or self._is_jump_of_others(output):
+        if run is None or estimator is None or self.jumps.any_but_of(output):
             return None
         least = RUNNING.noises * max(sensor.noise, self._model.noise[output])
         if self._evidence_of_frozen(run.frozen) < 0.0 or abs(value - run.value) < least:
@@ -610,14 +525,6 @@ class Competition:
         is_expected = off <= least or not estimator.is_missed_by(value)
         is_nearer = off < abs(run.value - estimator.estimate.value)
         return self.count - 1 - run.repeats if is_expected and is_nearer else None
-
-    def _is_jump_of_others(self, output: int) -> bool:
-        """Whether another reading than that of an output has jumped in this sample: then both have one cause."""
-        return any(
-            sensor.jump.age == 0 and sensor.jump.size != 0.0
-            for other, sensor in enumerate(self.sensors)
-            if other != output
-        )
 
     def forget_since(self, output: int, since: int) -> None:
         """Forget what the readings of an output have taught since a sample, counted from the last gap, and take them
@@ -645,7 +552,7 @@ class Competition:
     def is_forgotten_soon(self, suspect: Suspect) -> bool:
         """Whether its onset is so long ago that it is not followed much longer."""
         age = self.count - suspect.born
-        return age >= (_FOLLOWING.reach - 2.0 * BETWEEN_ONSETS) * self.second
+        return age >= (REMEMBERED.reach - 2.0 * BETWEEN_ONSETS) * self.second
 
     def was_asked(self, suspect: Suspect) -> bool:
         """Whether a drive, or one of all drives, has been asked since it is said to have changed for more than
@@ -655,7 +562,7 @@ class Competition:
         """
         latest = self.healthy.inputs.latest
         since = self.count - suspect.born
-        commands = np.array(self._commands)[-since - latest :]
+        commands = self._recent.commands[-since - latest :]
         asked = commands[-since:].sum(axis=0)
         is_enough = asked > latest * commands.max(axis=0)
         drive = suspect.cause[1]
@@ -669,8 +576,8 @@ class Competition:
             return math.inf
         since = max(self.count - suspect.born, 1)
         before = round(CROSSING.usual * self.second)
-        asked = np.array(self._commands)[-since:, suspect.cause[1]].mean()
-        arrived = np.array(self._arrived)[-since - before :]
+        asked = self._recent.commands[-since:, suspect.cause[1]].mean()
+        arrived = self._recent.arrived[-since - before :]
         moved = arrived.max(axis=0) - arrived.min(axis=0)
         crosses = _CERTAIN * row.spread * float(np.array(row.follows) @ moved)
         return crosses / float(asked) if asked > 0.0 else math.inf
@@ -688,7 +595,8 @@ class Competition:
         """
         fault, place = suspect.cause
         if fault is Fault.SENSOR_DRIFT and not suspect.row.slowly:
-            return self._has_jumped(suspect)
+            age = self.count - suspect.born
+            return self.jumps.explain(place, suspect.shift, age)
         variance = np.array([sensor.variance for sensor in self.sensors])
         healthy = self.healthy
         since = healthy.known - (self.count - suspect.born)
@@ -702,42 +610,6 @@ class Competition:
         is_missed = healthy.forecasts.newest.missed(since, variance)
         all_explained = is_missed.any() and is_explained[is_missed].all()
         return bool(knows.all() and not all_explained)
-
-    def _has_jumped(self, suspect: Suspect) -> bool:
-        """Whether a reading that is said to be off has moved, about where that began, by much of it at once, and
-        stood before and afterwards.
-
-        What moves on, or has moved already, may be the plant, which the equations expected elsewhere. An onset is
-        known to four seconds; a jump that came after it counts once it is seen whether the reading moves on. What
-        follows a step of a drive at once may be its effect, which is larger here than the equations say.
-        """
-        samples = min(self._between_onsets, _SAMPLES_OF_JUMP - 1) + 1
-        unsure = 2 * self._between_onsets
-        before_onset = max(len(self._values) - (self.count - suspect.born) - 1, 0)
-        readings = np.array([values[suspect.cause[1]] for values in self._values])
-        moved = np.sign(suspect.shift) * readings
-        seen_through = moved.size - 2 * samples - 1
-        earliest = max(before_onset - unsure, 0)
-        latest = max(before_onset, min(before_onset + unsure, seen_through))
-        off = abs(suspect.shift)
-        return any(
-            _jumps_at_once(moved, begin, off, samples)
-            and not self._has_stepped(moved.size - 1 - begin, samples)
-            for begin in range(earliest, latest + 1)
-        )
-
-    def _has_stepped(self, age: int, samples: int) -> bool:
-        """Whether a drive has moved by much of its range within so many samples, the last of them `age` samples
-        before the newest."""
-        end = len(self._commands) - age
-        commands = np.array(self._commands)[max(end - samples - 1, 0) : end]
-        if not commands.size:
-            return False
-        low, high = np.array(
-            [drive.limits for drive in self._model.plant.drives.values()]
-        ).T
-        moved = commands.max(axis=0) - commands.min(axis=0)
-        return bool((moved > _STEP * (high - low)).any())
 
     @property
     def rough(self) -> bool:
@@ -771,21 +643,6 @@ class Competition:
                 suspect.hypothesis, self.healthy.numbers[suspect.row.number]
             ]
         )
-
-    def jumped(self, age: int) -> list[int]:
-        """Outputs whose readings have jumped at once, `age` samples ago or the one after, and have stayed
-        there; none unless there are two."""
-        newest = {
-            output: sensor.jump
-            for output, sensor in enumerate(self.sensors)
-            if sensor.jump.stays
-        }
-        if not any(jump.age == age for jump in newest.values()):
-            return []
-        at_once = [
-            output for output, jump in newest.items() if jump.age in {age - 1, age}
-        ]
-        return at_once if len(at_once) > 1 else []
 
     def adopt_jumps(self, outputs: list[int]) -> None:
         """Take jumps of several readings for what they are off by, in every healthy member."""
@@ -867,15 +724,3 @@ class Competition:
 def _in_unit_of(row: ChangeRow, change: float) -> float:
     """A change of the number of a row in the row's unit: of a logarithm as a share."""
     return math.expm1(change) if row.is_relative else change
-
-
-def _jumps_at_once(moved: FloatArray, begin: int, off: float, samples: int) -> bool:
-    """Whether a reading moves within so many samples from `begin` on by much of what it is said to be off, and
-    stands before and afterwards; `moved` is by how much it has moved, up to a constant."""
-    since = moved[begin:] - moved[begin]
-    at_once = float(since[: samples + 1].max())
-    afterwards = float(since[samples : 2 * samples + 1].max(initial=0.0))
-    before = moved[begin] - float(moved[max(begin - samples, 0) : begin + 1].min())
-    stands_afterwards = afterwards < (1.0 + _AT_ONCE) * at_once
-    stands_before = before < _AT_ONCE * at_once
-    return at_once >= _AT_ONCE * off and stands_before and stands_afterwards

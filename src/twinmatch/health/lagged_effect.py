@@ -182,6 +182,7 @@ class Past:
         output: float,
         row: FloatArray,
         errors: tuple[ErrorModel, ...],
+        *,
         settled: bool,
     ) -> None:
         """Take a sample under an input and a row of disturbances, which an observer has predicted on from its
@@ -517,7 +518,13 @@ class LaggedEffect(DriveEffect):
         self._followed += 1
         observer.predict(sample.input)
         self._past.append(
-            observer, states, sample.input, output, row, self._errors, settled
+            observer,
+            states,
+            sample.input,
+            output,
+            row,
+            self._errors,
+            settled=settled,
         )
 
     def _new_observer(self, sample: Sample, output: float, row: FloatArray) -> Observer:

@@ -187,8 +187,8 @@ class Monitor:
                 self._alarms[-1] = replace(self._alarms[-1], spoils=True)
         self._refused = self._refused + 1 if sample.refused else 0
         self._before = sample if sample.usable else None
-        news = self._judge(sample.index, evidence, starting)
-        return self._health(sample.index, evidence, starting, news)
+        news = self._judge(sample.index, evidence, starting=starting)
+        return self._health(sample.index, evidence, news, starting=starting)
 
     def withdraw(self) -> None:
         """Take the fault of impossible readings back at the next sample: such steps have recurred."""
@@ -476,7 +476,7 @@ class Monitor:
             self._try()
 
     def _judge(
-        self, index: int, evidence: Evidence | None, starting: bool
+        self, index: int, evidence: Evidence | None, *, starting: bool
     ) -> Alarm | None:
         """Open and close alarms; return the one that changed."""
         # A refused reading that was replaced interrupts nothing: the sample remains usable.
@@ -604,7 +604,12 @@ class Monitor:
         return self._alarms[-1]
 
     def _health(
-        self, index: int, evidence: Evidence | None, starting: bool, news: Alarm | None
+        self,
+        index: int,
+        evidence: Evidence | None,
+        news: Alarm | None,
+        *,
+        starting: bool,
     ) -> Health:
         share = self._effect.share
         rate = self._slow.rate

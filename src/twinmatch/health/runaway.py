@@ -7,11 +7,13 @@ reading is about where the one before was, so "no equations at all" explains it 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.settings import Rule
+from twinmatch.signals import BoolArray, FloatArray
 
 
 class _Running(Rule):
@@ -71,8 +73,8 @@ class NewestMovement:
         self._readings = deque[float](maxlen=self._samples + 1)
         self._waiting = deque[float]()
 
-    def take(self, value: float, counts: bool, noise: float) -> ReadingMovement:
-        """Take a reading, whether it counts, and the standard deviation of its noise."""
+    def take(self, value: float, noise: float, *, counts: bool) -> ReadingMovement:
+        """Take a reading with the standard deviation of its noise, and whether it counts."""
         if not counts:
             self.restart()
             return ReadingMovement(0.0, is_beyond_known=False)
@@ -96,6 +98,65 @@ class NewestMovement:
     def _know(self, moved: float) -> None:
         self._farthest_rise = max(self._farthest_rise, moved)
         self._farthest_fall = max(self._farthest_fall, -moved)
+
+
+class Runaways:
+    """Which readings of a plant run away."""
+
+    def __init__(
+        self,
+        outputs: int,
+        second: float,
+        farthest_movements: Callable[[], tuple[FloatArray, FloatArray]],
+    ) -> None:
+        """Begin with none.
+
+        Args:
+            outputs: number of readings in a sample.
+            second: samples in a second of a plant as fast as the rig.
+            farthest_movements: by how much the plant lets each output fall and rise at most in the time over which
+                movements are looked at, shape (o,) each; asked where a reading moves as it never has.
+        """
+        self.lasts = round(RUNNING.lasts * second)
+        """Samples over which a movement is looked at."""
+        self.moved = np.zeros(outputs)
+        """By how much each reading has moved lately, in its unit."""
+        self._movements = [NewestMovement(second) for _ in range(outputs)]
+        self._samples = np.zeros(outputs, dtype=np.int64)
+        """For how many samples in a row each reading has run away."""
+        self._farthest_movements = farthest_movements
+
+    def restart(self) -> None:
+        """Begin again after a gap, keeping what is known."""
+        for movement in self._movements:
+            movement.restart()
+
+    def take(self, values: FloatArray, counts: BoolArray, noise: FloatArray) -> None:
+        """Take the readings of a sample, which of them count, and the standard deviations of their noise, shape (o,)
+        each."""
+        for output, newest in enumerate(self._movements):
+            movement = newest.take(
+                float(values[output]), float(noise[output]), counts=bool(counts[output])
+            )
+            self.moved[output] = movement.size
+            if movement.is_beyond_known and self._is_beyond_plant(output, noise):
+                self._samples[output] += 1
+            else:
+                self._samples[output] = 0
+
+    def _is_beyond_plant(self, output: int, noise: FloatArray) -> bool:
+        """Whether the plant cannot move an output as far as its reading has moved."""
+        falls, rises = self._farthest_movements()
+        farthest = float(falls[output]), float(rises[output])
+        return runs_away(float(self.moved[output]), farthest, float(noise[output]))
+
+    def lasting(self, samples: int, among: BoolArray) -> list[int]:
+        """Those of some outputs, shape (o,), whose readings run away; none before one of them has done so for so many
+        samples."""
+        samples_of_those = np.where(among, self._samples, 0)
+        if samples_of_those.max(initial=0) < samples:
+            return []
+        return [int(output) for output in np.flatnonzero(samples_of_those)]
 
 
 class WayBack:

@@ -9,6 +9,7 @@ import numpy as np
 
 from twinmatch.dynamics.bank import JUNK
 from twinmatch.health.roughness import Roughness
+from twinmatch.settings import Rule
 
 _STANDS: Final = math.log(1.0 - 1e-4)
 """Log-probability with which a frozen sensor repeats its reading."""
@@ -26,6 +27,18 @@ _MOVES_ON: Final = 0.5
 """Share of a movement from which on a reading moves on behind it, as one that follows its plant does."""
 _MOVES: Final = 20
 """Movements of a reading after which its last digit is known."""
+
+
+class _Pauses(Rule):
+    """How it is learned how often a reading is repeated."""
+
+    longest: int = 10
+    """Repeats in a row from which on they may be those of a frozen sensor, and teach nothing."""
+    most: float = 500.0
+    """Readings that count: from there on, older ones count half."""
+
+
+_PAUSES: Final = _Pauses()
 
 
 class Jump(NamedTuple):
@@ -139,7 +152,7 @@ class LearnedSensor:
         """That of a reading, with its rounding."""
         return self.noise**2 + self.step**2 / 12.0
 
-    def read(self, value: float, counts: bool) -> None:
+    def read(self, value: float, *, counts: bool) -> None:
         """Take a reading, and whether it counts."""
         self._counted = self._pauses[self.repeated]
         self.repeated = counts and value == self._before
@@ -149,7 +162,7 @@ class LearnedSensor:
         """Probability that it repeats this reading, or might have, whatever the plant does."""
         return self._counted[0] / self._counted[1]
 
-    def walked(self, value: float, counts: bool, gained: float) -> float:
+    def walked(self, value: float, gained: float, *, counts: bool) -> float:
         """Log-probability of the reading without equations: it is like the one before. A repeat says nothing
         of a display with coarse steps: it counts as the equations say, `gained`."""
         if self.repeated:
@@ -171,8 +184,26 @@ class LearnedSensor:
         )
         return math.log((1.0 - self.pause) * likelihood + junk)
 
-    def learn(self, value: float, counts: bool, gained: float, expected: float) -> None:
+    def learn(
+        self, value: float, gained: float, expected: float, *, counts: bool
+    ) -> None:
         """Learn of this reading, whose log-probability was `gained`; the equations expected another one."""
+        self._follow_repeats(gained, counts=counts)
+        before = self._before
+        earlier = self._earlier
+        self._earlier = before
+        self._before = value if counts else math.nan
+        if not counts or math.isnan(before):
+            return
+        self._follow_jump(value - before, expected - before)
+        self._learn_pause()
+        self._learn_movement(abs(value - before))
+        if not math.isnan(earlier):
+            self._roughness.take(abs(value - 2.0 * before + earlier))
+        self.noise = self._roughness.noise
+
+    def _follow_repeats(self, gained: float, *, counts: bool) -> None:
+        """Count the repeats in a row, and what they say for a frozen sensor; a new reading ends them."""
         self.ended_run = None
         if self.repeated:
             usually = self.run_lengths.continues(self.repeats)
@@ -187,20 +218,18 @@ class LearnedSensor:
             self.is_accused = False
             self.repeats = 0
             self.frozen = 0.0
-        earlier = self._earlier
-        before = self._before
-        if counts and not math.isnan(before):
-            self._follow_jump(value - before, expected - before)
-        self._earlier = before
-        self._before = value if counts else math.nan
-        if not counts or math.isnan(before):
+
+    def _learn_pause(self) -> None:
+        """Learn how often a reading is repeated, unless it has been for so long that it may be frozen."""
+        if self.repeats >= _PAUSES.longest:
             return
-        if self.repeats < 10:
-            self._counted[0] += 0.5 * self.repeated
-            self._counted[1] += 1.0
-            if self._counted[1] > 500.0:
-                self._counted[:] = 0.5 * self._counted[0], 0.5 * self._counted[1]
-        moved = abs(value - before)
+        self._counted[0] += 0.5 * self.repeated
+        self._counted[1] += 1.0
+        if self._counted[1] > _PAUSES.most:
+            self._counted[:] = 0.5 * self._counted[0], 0.5 * self._counted[1]
+
+    def _learn_movement(self, moved: float) -> None:
+        """Learn how far readings usually move, and their last digit, from the size of a movement."""
         steady = min(moved, 4.0 * self._walk)
         self._pace += (_USUAL * steady - self._pace) / (30.0 * self._second)
         if moved > 1e-9:
@@ -208,9 +237,6 @@ class LearnedSensor:
             self._smallest = min(self._smallest, moved)
             if self._moves >= _MOVES:
                 self.step = min(self._smallest, 30.0 * self._usual)
-        if not math.isnan(earlier):
-            self._roughness.take(abs(value - 2.0 * before + earlier))
-        self.noise = self._roughness.noise
 
     def _follow_jump(self, moved: float, expected: float) -> None:
         """Note a movement that is far from the usual ones, and from the expected one.

@@ -14,8 +14,8 @@ from twinmatch.health.traces import DriveEffect, Repeats
 from twinmatch.signals import Sample
 
 if TYPE_CHECKING:  # a plant with one loop needs nothing of their arithmetic
-    from twinmatch.health.evidence import Suspect
     from twinmatch.health.hypotheses import PlacedFault
+    from twinmatch.health.suspects import Suspect
 
 
 class FaultSentences:
@@ -110,7 +110,9 @@ class FaultSentences:
                 f"{abs(reading - sample.output):.3g}{self.unit} more than the plant can explain: "
                 f"look at {self.sensor}"
             )
-        return Evidence(Fault.SENSOR_IMPLAUSIBLE, True, sample.index, reason)
+        return Evidence(
+            Fault.SENSOR_IMPLAUSIBLE, sure=True, first=sample.index, reason=reason
+        )
 
     def recurring(self) -> str:
         """Steps that were called impossible, and have come again and again."""
@@ -127,7 +129,8 @@ class FaultSentences:
             f"{signed(repeats.expected)}{self.unit} and the reading should have shown noise: "
             f"look at {self.sensor}"
         )
-        return Evidence(Fault.SENSOR_FROZEN, True, sample.index - repeats.count, reason)
+        first = sample.index - repeats.count
+        return Evidence(Fault.SENSOR_FROZEN, sure=True, first=first, reason=reason)
 
     def late(
         self, index: int, effect: DriveEffect, lag: float, *, sure: bool

@@ -6,9 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from twinmatch.health.evidence import Competition, ExpectedEnd, Suspect
+from twinmatch.health.evidence import Competition, ExpectedEnd
 from twinmatch.health.faults import EVERY, Fault
 from twinmatch.health.hypotheses import LESS, ChangeRow
+from twinmatch.health.suspects import Suspect
 from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 

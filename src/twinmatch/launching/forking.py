@@ -177,12 +177,12 @@ class ForkServer:
                 self._socket.close()
                 self._socket, self._process = begun_server()
             # so that the new process becomes a child of this one
-            adopt_orphans(True)
+            adopt_orphans()
             try:
                 socket.send_fds(self._socket, [json.dumps(asked).encode()], [output])
                 answer = self._socket.recv(_MAX_LINE)
             finally:
-                adopt_orphans(False)
+                adopt_no_orphans()
         if not answer:
             raise BrokenPipeError(errno.EPIPE, "the fork server has ended")
         if not int(answer):
@@ -246,9 +246,14 @@ def serve(connection: socket.socket) -> list[str]:
         os.close(outputs[0])
 
 
-def adopt_orphans(adopts: bool) -> None:
-    """Whether this process becomes the parent of descendants whose parents end."""
-    _LIBC.prctl(_Prctl.CHILD_SUBREAPER, int(adopts))
+def adopt_orphans() -> None:
+    """Become the parent of all descendants whose parents end, from now on."""
+    _LIBC.prctl(_Prctl.CHILD_SUBREAPER, 1)
+
+
+def adopt_no_orphans() -> None:
+    """Leave descendants whose parents end to the first process again, from now on; those adopted stay."""
+    _LIBC.prctl(_Prctl.CHILD_SUBREAPER, 0)
 
 
 def become_child_of(parent: int) -> bool:

@@ -14,7 +14,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, NoReturn
 
-from twinmatch.launching.forking import adopt_orphans, become_child_of
+from twinmatch.launching.forking import (
+    adopt_no_orphans,
+    adopt_orphans,
+    become_child_of,
+)
 
 _PASSED_ON: Final = (
     signal.SIGINT,
@@ -42,7 +46,7 @@ def continue_in_child(prepare: Callable[[], None]) -> None:
     blocked_before = signal.pthread_sigmask(
         signal.SIG_BLOCK, {signal.SIGCHLD, *_PASSED_ON}
     )
-    adopt_orphans(True)
+    adopt_orphans()
     reading, writing = os.pipe()
     preparing = os.fork()
     if preparing:
@@ -67,7 +71,7 @@ def _wait_for_both(preparing: int, reading: int) -> NoReturn:
         _end_with(status)
     child = int(os.read(reading, _LONGEST) or 0)
     os.close(reading)
-    adopt_orphans(False)
+    adopt_no_orphans()
     if not child:
         raise PermissionError(
             errno.EPERM, "the kernel gives this process no children of others"

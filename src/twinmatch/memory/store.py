@@ -201,7 +201,7 @@ class Memory:
                 end = time.thread_time() + PATIENCE
                 database.set_progress_handler(lambda: time.thread_time() > end, 100_000)
                 database.create_function("in_order", 1, natural, deterministic=True)
-                self._check(database, write)
+                self._check(database, write=write)
             yield database
             if database is not None:
                 database.execute("COMMIT")
@@ -212,7 +212,7 @@ class Memory:
             if database is not None:
                 database.close()  # an open transaction is rolled back
 
-    def _check(self, database: sqlite3.Connection, write: bool) -> None:
+    def _check(self, database: sqlite3.Connection, *, write: bool) -> None:
         """Refuse a file that is not a memory; an empty one becomes one, and a file of the first version gets
         its second table when it is written."""
         (application,) = database.execute("PRAGMA application_id").fetchone()

@@ -281,7 +281,7 @@ class Course:
             if self._before is None
             else self._departs(self._before, message, elapsed)
         )
-        if why and not self._is_believed(message, now, alone):
+        if why and not self._is_believed(message, now, alone=alone):
             raise MessageError(why)
         if why or self._before is None:
             self._owners = self._publishers()
@@ -298,7 +298,7 @@ class Course:
             self._owners = self._publishers()
         return self._second is None
 
-    def _is_believed(self, message: Any, now: float, alone: bool) -> bool:
+    def _is_believed(self, message: Any, now: float, *, alone: bool) -> bool:
         """Whether a message that departs is believed: enough of them agree, or all publishers are new."""
         if self._refused and self._departs(self._refused[-1], message, math.inf):
             self._refused.clear()

@@ -115,7 +115,7 @@ class Experimenter(Desk):
             raise ExperimentError(why)
         self._is_seeking = True
         self._request = request.request
-        self.put(partial(self._seek, wish, request.run))
+        self.put(partial(self._seek, wish, run=request.run))
         return "seeking; twin/experiment has what comes of it"
 
     def refuse(self, reason: str) -> None:
@@ -129,7 +129,7 @@ class Experimenter(Desk):
                 ExperimentReport(0, ExperimentPhase.REFUSED, "", 0, reason=reason)
             )
 
-    def _seek(self, wish: Wish, run: bool) -> None:
+    def _seek(self, wish: Wish, *, run: bool) -> None:
         """Find the course for a wish and, if it is to run, have the controller follow it."""
         newest = self._newest()
         of_controller = (

@@ -174,7 +174,12 @@ class OutputGate:
                 if self.armed:
                     message = f"/clock has stood still for {clock.standing:.1f} s; is the simulator running?"
                     self.trip(FaultKind.CLOCK, message)
-                return Decision((0.0,) * len(guards), False, self._index, safety_now)
+                return Decision(
+                    (0.0,) * len(guards),
+                    armed=False,
+                    sample=self._index,
+                    time=safety_now,
+                )
             passed_values = [guard.passed for guard in guards]
             for k, guard in enumerate(guards):
                 beside = (*passed_values[:k], *passed_values[k + 1 :], *self.beside)

@@ -190,7 +190,7 @@ def write_session(
     target = Path(folder).absolute()
     check_samples(samples, f"session {target.name}")
     _check_gaps(samples, target, allowed=gaps)
-    _check_target(target, overwrite)
+    _check_target(target, may_overwrite=overwrite)
     topics = topics_of(samples) if topics is None else topics
     step = "written"
     try:
@@ -264,12 +264,12 @@ def _move(written: Path, target: Path, aside: Path) -> None:
     sync_folder(target.parent)
 
 
-def _check_target(target: Path, overwrite: bool) -> None:
+def _check_target(target: Path, *, may_overwrite: bool) -> None:
     if not target.name:
         raise SessionError(f"session {target}: a session needs a folder with a name")
     if not (target.exists() or target.is_symlink()):
         return
-    if not overwrite:
+    if not may_overwrite:
         raise SessionError(
             f"session {target}: exists already; choose another name or ask to overwrite it"
         )

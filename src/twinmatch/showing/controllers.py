@@ -105,16 +105,14 @@ def experiment_words(experiment: NextExperiment) -> list[str]:
     """The course in one sentence, then what it brings beside others of its length."""
     period = experiment.terms.holding.period
     rows = experiment.course.rows
-    brings = f"{experiment.course.characters:.3g} characters for {experiment.goal.name}"
+    brings = f"{experiment.course.bits:.3g} bits for {experiment.goal.name}"
     plan = ", then ".join(_held_levels(experiment))
     lines = [f"hold {plan}: after {period * len(rows):.4g} s, {brings} are expected"]
     for course in (experiment.course, *experiment.others):
         spreads = zip(experiment.leader.free, course.spreads.tolist(), strict=False)
         listed = ", ".join(f"{name} ± {spread:.2g}" for name, spread in spreads)
         warning = "" if course.within else "; leaves the range"
-        lines.append(
-            f"  {course.name}: {course.characters:.3g} characters; {listed}{warning}"
-        )
+        lines.append(f"  {course.name}: {course.bits:.3g} bits; {listed}{warning}")
     return lines
 
 
@@ -145,7 +143,7 @@ def experiment_document(experiment: NextExperiment) -> dict[str, Any]:
             {
                 "name": course.name,
                 "levels": course.rows.T.tolist(),
-                "characters": course.characters,
+                "bits": course.bits,
                 "within": course.within,
                 "spreads": dict(
                     zip(experiment.leader.free, course.spreads.tolist(), strict=False)

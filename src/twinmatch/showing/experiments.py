@@ -31,10 +31,10 @@ def report_words(report: ExperimentReport, described: Description = UNDESCRIBED)
     if not report.levels:
         return f"{report.phase.value}: {report.reason}"
     plan = course_words(report.levels, report.holds, described)
-    so_far = f"{report.brought:.3g} of {report.expected:.3g} characters"
+    so_far = f"{report.brought:.3g} of {report.expected:.3g} bits"
     brought = (
         so_far
         if report.phase is ExperimentPhase.RUNNING
-        else f"{report.expected:.3g} characters"
+        else f"{report.expected:.3g} bits"
     )
     return f"{report.phase.value}, for {report.goal}: {brought}; hold {plan} ({report.reason})"

@@ -39,6 +39,7 @@ from twinmatch.showing.verdicts import (
     missed,
     trust_by_signal,
 )
+from twinmatch.signals import time_text
 from twinmatch.twin import MatchReport
 
 
@@ -288,7 +289,7 @@ def _headline(verdict: Verdict | None, period: float) -> RenderableType:
     if verdict.leader is not None:
         grid.add_row("forecasts", Text(missed(verdict)))
     grid.add_row(
-        "verdict", Text(f"at {number(verdict.sample * period, 0)} s: {verdict.reason}")
+        "verdict", Text(f"at {time_text(verdict.sample, period)} s: {verdict.reason}")
     )
     return grid
 
@@ -299,7 +300,7 @@ def _event_line(event: Event, period: float) -> RenderableType:
         style = STYLES[TrustLevel(event.title)]
     why = f": {event.why}" if event.why else ""
     grid = Table.grid(padding=(0, 1, 0, 0))
-    when = f"{number((event.sample or 0) * period, 0):>6} s"
+    when = f"{time_text(event.sample or 0, period):>6} s"
     grid.add_row(
         when, Text(mark, style=style), Text.assemble((event.title, style), (why, "dim"))
     )

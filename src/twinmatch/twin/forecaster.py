@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinmatch.comparing import Candidate, ForecastScore
 from twinmatch.dynamics import Foresight, Law, Plant, PlantError
@@ -24,7 +25,7 @@ from twinmatch.forecasting import (
     StateFilter,
     leads_of,
 )
-from twinmatch.signals import FloatArray, Sample, Signals, finite, rms
+from twinmatch.signals import BoolArray, FloatArray, Sample, Signals, finite, rms
 from twinmatch.twin.entrants import Entrant, Entrants, Standings
 from twinmatch.twin.sample_rows import SampleRows
 from twinmatch.twin.settings import ForecastSettings
@@ -93,6 +94,24 @@ class _Departure(NamedTuple):
     arx: ArxForecast
     widths: Mapping[str, FloatArray]
     """Widths of the bands of the candidates that learn from this forecast, by name."""
+
+
+class _Outcome(NamedTuple):
+    """What became of the forecasts from one departure; N samples came after it."""
+
+    forecasts: Mapping[str, _Forecast]
+    """By name of the candidate."""
+    errors: FloatArray
+    """Readings minus means, shape (candidates, signals, N)."""
+    baseline_errors: FloatArray
+    """Those of the baselines, shape (baselines, signals, N)."""
+    is_received: BoolArray
+    """Which samples were received, shape (N,)."""
+
+    @property
+    def received(self) -> NDArray[np.intp]:
+        """Places of the samples that were received."""
+        return np.flatnonzero(self.is_received)
 
 
 class _Learned(NamedTuple):
@@ -518,56 +537,71 @@ class Forecaster:
             return
         self._catch_up()
         rows_since = self._newest_rows(ahead + 1)
-        before = max(
-            (horizon for horizon in self.horizons if horizon < ahead), default=0
-        )
-        is_received = rows_since.is_received[1:]
-        if not is_received[before:].any():
+        scored_before = self._longest_below(ahead)
+        if not rows_since.is_received[1 + scored_before :].any():
             return
+        outcome = self._outcome(departure, rows_since, ledger.noise.size)
+        self._learn_bands(departure.widths, outcome, scored_before)
+        received = outcome.received
+        new = received[received >= scored_before]
+        ledger.add(
+            tuple(outcome.forecasts),
+            outcome.errors[:, :, new],
+            outcome.baseline_errors[:, :, new],
+            number,
+        )
+        self.standings = Standings(self._twins, ledger, self.horizons)
+        if ahead == self._longest and departure.leader in outcome.forecasts:
+            self._learn_confidence(departure.leader, outcome, ledger.noise)
+
+    def _longest_below(self, ahead: int) -> int:
+        """The longest horizon that is shorter than one, samples, up to which forecasts have been scored already; 0 if
+        there is none."""
+        shorter = (horizon for horizon in self.horizons if horizon < ahead)
+        return max(shorter, default=0)
+
+    def _outcome(
+        self, departure: _Departure, rows_since: SampleRows, signals: int
+    ) -> _Outcome:
+        """What became of the forecasts of so many signals, by the rows of the departure and of the samples after
+        it."""
         conditions = self._conditions(rows_since)
-        signals = ledger.noise.size
         measured = np.ascontiguousarray(rows_since.signals(signals).T)[:, 1:]
         banded = departure.widths.keys() & self._twins.keys()
         forecasts = self._forecasts(departure, conditions, banded)
         means = np.array([forecast.means[:signals] for forecast in forecasts.values()])
-        errors = measured - means.reshape(-1, signals, ahead)
-        self._learn_bands(
-            departure.widths,
+        baselines = departure.arx.referees(*conditions)[:, :signals]
+        return _Outcome(
             forecasts,
-            np.where(is_received, np.abs(errors), np.nan),
-            before,
+            errors=measured - means.reshape(-1, *measured.shape),
+            baseline_errors=measured - baselines,
+            is_received=rows_since.is_received[1:],
         )
-        received = np.flatnonzero(is_received)
-        new = received[received >= before]
-        baselines = measured - departure.arx.referees(*conditions)[:, :signals]
-        ledger.add(tuple(forecasts), errors[:, :, new], baselines[:, :, new], number)
-        self.standings = Standings(self._twins, ledger, self.horizons)
-        if ahead == self._longest and departure.leader in forecasts:
-            leader = list(forecasts).index(departure.leader)
-            in_noise = rms(errors[:, :, received], ledger.noise[:, None])
-            of_candidates = rms(in_noise)
-            self._leader_confidence.add(
-                float(of_candidates[leader]), float(of_candidates.min())
-            )
 
     def _learn_bands(
-        self,
-        widths: Mapping[str, FloatArray],
-        forecasts: Mapping[str, _Forecast],
-        sizes: FloatArray,
-        before: int,
+        self, widths: Mapping[str, FloatArray], outcome: _Outcome, before: int
     ) -> None:
-        """Have bands learn from the |errors| of all forecasts, shape (C, signals, N), at the leads after `before`.
+        """Have bands learn from the sizes of the errors, at the leads after `before`.
 
         `widths` are those that they had, by names of the candidates whose bands learn from this forecast.
         """
+        sizes = np.where(outcome.is_received, np.abs(outcome.errors), np.nan)
         for of_candidate, (name, forecast) in zip(
-            sizes, forecasts.items(), strict=True
+            sizes, outcome.forecasts.items(), strict=True
         ):
             if name in widths:
                 self._twins[name].learn(
                     of_candidate, forecast.variances, before, widths[name]
                 )
+
+    def _learn_confidence(
+        self, leader: str, outcome: _Outcome, noise: FloatArray
+    ) -> None:
+        """Compare the leader with the best in hindsight, by errors in units of the noise, shape (signals,)."""
+        in_noise = rms(outcome.errors[:, :, outcome.received], noise[:, None])
+        of_candidates = rms(in_noise)
+        of_leader = of_candidates[list(outcome.forecasts).index(leader)]
+        self._leader_confidence.add(float(of_leader), float(of_candidates.min()))
 
     def _forecasts(
         self, departure: _Departure, conditions: _Conditions, banded: Collection[str]

@@ -14,7 +14,7 @@ from twinmatch.controllers import (
     Holding,
     LearningGoal,
     NextExperiment,
-    characters_by,
+    bits_by,
     goal_named,
     next_experiment,
 )
@@ -59,7 +59,7 @@ class LiveExperiment:
             else round(60.0 * wish.minutes / settings.period)
         )
         self._first_plan = self._newest_plan = self._planned(snapshot, size)
-        self._expected = self._first_plan.course.characters
+        self._expected = self._first_plan.course.bits
         self.report = self._reported(newest.index, ExperimentPhase.PROPOSED, 0.0)
         """The newest."""
 
@@ -79,7 +79,7 @@ class LiveExperiment:
         """The report of its end: the set-point returns to where it was."""
         last = self._samples[-1].index if self._samples else self.report.sample
         brought = self.brought
-        sentence = f"{reason}; it brought {brought:.3g} characters, {self._expected:.3g} were expected"
+        sentence = f"{reason}; it brought {brought:.3g} bits, {self._expected:.3g} were expected"
         self.report = ExperimentReport(
             last,
             phase,
@@ -98,7 +98,7 @@ class LiveExperiment:
 
     @property
     def brought(self) -> float:
-        """Characters that the samples so far have brought."""
+        """Bits that the samples so far have brought."""
         return self._lead[1]
 
     def judged(self, verdict: Verdict, snapshot: Snapshot) -> ExperimentReport:
@@ -135,12 +135,8 @@ class LiveExperiment:
             return f"stopped: {error}"
         self._newest_plan = plan
         self._samples_planned_on = len(self._samples)
-        self._expected = brought + plan.course.characters
-        return (
-            ""
-            if plan.course.characters >= LEAST
-            else "its rest would tell nothing more"
-        )
+        self._expected = brought + plan.course.bits
+        return "" if plan.course.bits >= LEAST else "its rest would tell nothing more"
 
     @property
     def _rest(self) -> FloatArray:
@@ -151,26 +147,26 @@ class LiveExperiment:
 
     @property
     def _enough(self) -> float:
-        """Characters with which it is decided."""
+        """Bits with which it is decided."""
         return (
             LEAD / math.log(2.0)
             if self.goal.pairs
-            else NEARLY * self._first_plan.course.characters
+            else NEARLY * self._first_plan.course.bits
         )
 
     @property
     def _lead(self) -> tuple[str, float]:
-        """The best of contenders that are to be told apart, and the characters that samples have brought."""
+        """The best of contenders that are to be told apart, and the bits that samples have brought."""
         if not self._samples:
             return "", 0.0
         outputs = np.array([sample.outputs for sample in self._samples])
         inputs = np.array([sample.inputs for sample in self._samples])
         with one_thread():
-            characters = characters_by(self._first_plan, outputs, inputs)
+            bits = bits_by(self._first_plan, outputs, inputs)
         if not self.goal.pairs:
-            return "", float(characters.mean())
-        second_best, best = np.sort(characters)[-2:]
-        return self.goal.label(int(characters.argmax())), float(best - second_best)
+            return "", float(bits.mean())
+        second_best, best = np.sort(bits)[-2:]
+        return self.goal.label(int(bits.argmax())), float(best - second_best)
 
     def _planned(
         self, snapshot: Snapshot, size: int | None, rest: FloatArray | None = None
@@ -220,7 +216,5 @@ class LiveExperiment:
 
 def _beside(found: NextExperiment) -> str:
     """What a course brings, and what others of its length would, in words."""
-    in_words = ", ".join(
-        f"{course.name} {course.characters:.3g}" for course in found.others
-    )
-    return f"{found.course.characters:.3g} characters; in the same time {in_words}"
+    in_words = ", ".join(f"{course.name} {course.bits:.3g}" for course in found.others)
+    return f"{found.course.bits:.3g} bits; in the same time {in_words}"

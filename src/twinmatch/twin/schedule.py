@@ -376,7 +376,13 @@ class Schedule:
             missing = (
                 self._unmoved(window) if self._driven else "the set-point did not move"
             )
-        return Trigger(sample.index, window, False, self._point(window), missing)
+        return Trigger(
+            sample.index,
+            window,
+            excited=False,
+            operating_point=self._point(window),
+            reason=missing,
+        )
 
     def _point(self, window: Window) -> OperatingPoint:
         """The operating point at a window's end."""
@@ -409,7 +415,7 @@ class Schedule:
         window = self._window(self._begin(last), last)
         self._judged_to = last
         self._quiet_since = last + 1
-        return Trigger(index, window, True, self._point(window))
+        return Trigger(index, window, excited=True, operating_point=self._point(window))
 
     def _window(self, first: int, last: int) -> Window:
         return Window.from_samples(

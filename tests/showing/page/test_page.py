@@ -375,7 +375,7 @@ def test_experiments_and_laws_on_trial_are_events() -> None:
     page.update()
     events = document.get_model_by_name("events").text
     for words in (
-        "running, for structure: 2 of 9 characters; hold 30 for 60 s",
+        "running, for structure: 2 of 9 bits; hold 30 for 60 s",
         "law on trial: back",
         "is 90, not",
     ):

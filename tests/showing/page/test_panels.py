@@ -129,7 +129,7 @@ def test_what_comes_from_the_graph_is_text(judged: Judgement, evil: str) -> None
     state.push_health(
         f"{evil}: health", 2, evil, {"rate": "1", "paused": "no", "position": evil}, 0.0
     )
-    state.notify(False, evil)
+    state.notify(evil, done=False)
     last = judged.verdicts[-1]
     named = replace(last.candidates[0], name=evil)
     verdict = replace(

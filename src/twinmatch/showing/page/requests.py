@@ -219,8 +219,8 @@ class Requests:
             if value.type
         }
         if len(values) < len(SOURCE):
-            self._state.notify(
-                False, "the controller does not report which set-points it follows"
+            self._show_refusal(
+                "the controller does not report which set-points it follows"
             )
             return
         unit = self._state.described.reference.unit
@@ -228,19 +228,18 @@ class Requests:
         high = values["profile.highest"].double_value
         if values["reference_source"].string_value != "topic":
             why = "the controller follows its own profile; start it with reference_source: topic"
-            self._state.notify(False, why)
+            self._show_refusal(why)
         elif not (math.isfinite(level) and low <= level <= high):
             why = f"{level:g} {unit} not set: the controller allows {low:g} to {high:g} {unit}"
-            self._state.notify(False, why)
+            self._show_refusal(why)
         elif self._reference is None:
-            self._state.notify(
-                False,
-                "not set: neither a sample nor a description of the plant has come yet",
+            self._show_refusal(
+                "not set: neither a sample nor a description of the plant has come yet"
             )
         else:
             self._reference.publish(Float64(data=level))
             confirmation = f"requested {level:g} {unit}; the set-point above follows with the next sample"
-            self._state.notify(True, confirmation)
+            self._state.notify(confirmation, done=True)
 
     def _call(
         self,
@@ -257,7 +256,7 @@ class Requests:
 
         def call() -> None:
             if not client.service_is_ready():
-                show = show_failure or partial(self._state.notify, False)
+                show = show_failure or self._show_refusal
                 show(f"{server} is not running (no service {client.srv_name})")
             else:
                 client.call_async(request).add_done_callback(done)
@@ -271,16 +270,19 @@ class Requests:
 
         self._run_in_node(call)
 
+    def _show_refusal(self, why: str) -> None:
+        self._state.notify(why, done=False)
+
     def _show_result(self, answer: Any) -> None:
-        self._state.notify(answer.success, answer.message)
+        self._state.notify(answer.message, done=answer.success)
 
     def _show_profile(self, answer: Any) -> None:
         confirmation = "the controller's profile continues where it was"
         self._state.notify(
-            answer.result.successful, answer.result.reason or confirmation
+            answer.result.reason or confirmation, done=answer.result.successful
         )
 
     def _show_rate_result(self, answer: Any) -> None:
         for result in answer.results:
             if not result.successful:
-                self._state.notify(False, result.reason)
+                self._show_refusal(result.reason)

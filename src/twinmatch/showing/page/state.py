@@ -457,8 +457,8 @@ class DashboardState:
             self.image = image
             self.images += 1
 
-    def notify(self, done: bool, text: str) -> None:
-        """Show the result of a request made on the page."""
+    def notify(self, text: str, *, done: bool) -> None:
+        """Show the result of a request made on the page: whether it was done, and in words."""
         with self.lock:
             self.notice = Notice(done, text)
 
