@@ -31,7 +31,7 @@ from twinmatch.controllers import (
     NextExperiment,
     TriedTwin,
     as_linear,
-    characters_by,
+    bits_by,
     goal_named,
     next_experiment,
     try_controller,
@@ -150,7 +150,7 @@ def decided(
 ) -> tuple[int | None, str]:
     """Samples until one contender leads, and which it is."""
     for size in range(EVERY, len(outputs) + 1, EVERY):
-        each = characters_by(asked.found, outputs[:size], inputs[:size])
+        each = bits_by(asked.found, outputs[:size], inputs[:size])
         second, first = np.sort(each)[-2:]
         if (first - second) * math.log(2.0) >= LEAD:
             return size, asked.found.goal.label(int(each.argmax()))

@@ -25,7 +25,9 @@ def test_the_newest_samples_are_kept_in_order() -> None:
         observer.correct(30.0, row)
         states = np.array([300.0 + k, 200.0 + k])
         errors = (ErrorModel(float(k)),)
-        past.append(observer, states, float(k), 10.0 + k, row, errors, k % 3 == 0)
+        past.append(
+            observer, states, float(k), 10.0 + k, row, errors, settled=k % 3 == 0
+        )
         newest = range(max(0, k - 2 * LONGEST), k + 1)
         assert len(past) == len(newest)
         arrays = past.arrays

@@ -168,7 +168,7 @@ def test_the_twin_answers_before_anything_is_run(
     the outputs rest. The discriminator that gives it can be killed: nothing that drives depends on it."""
     # the outputs come to rest with a candidate, and stay so
     steps = quarter_of_an_hour()[:600]
-    # heard before anything is asked: an answer then shows that the reports reach the test
+    # subscribed before anything is asked: an answer then shows that the reports reach the test
     reports = listener.hear(messages.LawReport, "twin/law", EVERYTHING)
     ask = Operator(listener, TryLaw, "twin/try_law")
     start_process("matcher")

@@ -79,7 +79,7 @@ class Listener:
             self.samples.publish(sample_message(sample))
 
     def wait_for_nodes(self, *topics: str, readers: int = 1) -> None:
-        """Until so many nodes read the samples and these topics are heard."""
+        """Until so many nodes read the samples and this listener receives what these topics bring."""
         self.spin_until(
             lambda: self.samples.get_subscription_count() >= readers, "the readers"
         )

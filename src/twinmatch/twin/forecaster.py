@@ -96,7 +96,7 @@ class _Departure(NamedTuple):
     """Widths of the bands of the candidates that learn from this forecast, by name."""
 
 
-class _Outcome(NamedTuple):
+class _ComparedForecasts(NamedTuple):
     """What became of the forecasts from one departure; N samples came after it."""
 
     forecasts: Mapping[str, _Forecast]
@@ -562,7 +562,7 @@ class Forecaster:
 
     def _outcome(
         self, departure: _Departure, rows_since: SampleRows, signals: int
-    ) -> _Outcome:
+    ) -> _ComparedForecasts:
         """What became of the forecasts of so many signals, by the rows of the departure and of the samples after
         it."""
         conditions = self._conditions(rows_since)
@@ -571,7 +571,7 @@ class Forecaster:
         forecasts = self._forecasts(departure, conditions, banded)
         means = np.array([forecast.means[:signals] for forecast in forecasts.values()])
         baselines = departure.arx.referees(*conditions)[:, :signals]
-        return _Outcome(
+        return _ComparedForecasts(
             forecasts,
             errors=measured - means.reshape(-1, *measured.shape),
             baseline_errors=measured - baselines,
@@ -579,7 +579,7 @@ class Forecaster:
         )
 
     def _learn_bands(
-        self, widths: Mapping[str, FloatArray], outcome: _Outcome, before: int
+        self, widths: Mapping[str, FloatArray], outcome: _ComparedForecasts, before: int
     ) -> None:
         """Have bands learn from the sizes of the errors, at the leads after `before`.
 
@@ -595,7 +595,7 @@ class Forecaster:
                 )
 
     def _learn_confidence(
-        self, leader: str, outcome: _Outcome, noise: FloatArray
+        self, leader: str, outcome: _ComparedForecasts, noise: FloatArray
     ) -> None:
         """Compare the leader with the best in hindsight, by errors in units of the noise, shape (signals,)."""
         in_noise = rms(outcome.errors[:, :, outcome.received], noise[:, None])
