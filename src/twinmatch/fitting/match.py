@@ -379,6 +379,8 @@ def not_determined(
 def _with_fit(
     problem: Problem, split: int, rival: Parameters, limits: GateLimits
 ) -> Match:
+    """The match of the best fit: a test fit to the samples before `split` has to predict those behind better than the
+    rival."""
     window = problem.window
     fitted_part = replace(
         problem, window=window.part(window.first, window.first + split - 1)
@@ -386,51 +388,14 @@ def _with_fit(
     starts = starts_for(problem, problem.base)
     test = solve(fitted_part, starts)
     best = solve(problem, [test.values, *starts])
-    most = limits.most(problem.law)
-    explained = best.converged and best.chi2 <= most
-
-    def stands(of_all: Uncertainty, values: FloatArray) -> bool:
-        errors = np.sqrt(np.diag(of_all.covariance))
-        if not _condition(problem, problem.names, of_all) <= limits.condition:
-            return False
-        loose = undetermined(problem.unknowns, values, errors, limits)
-        return not loose and not on_bounds(problem, values)
-
-    identified = (
-        identify(problem, best, rival, stands)
-        if explained
-        else unidentified(problem, best)
-    )
+    identified = _identified(problem, best, rival, limits)
     first_tested = split - (len(window) - problem.measured.shape[1])
     tested = problem.residuals(test.values)[:, first_tested:]
     standing = _residuals_of(problem, fitted_part, rival)[:, first_tested:]
+    evidence = _evidence(problem, identified, limits, tested, standing)
+    status, reason = judge(evidence, limits)
     final = identified.estimate
     of_all = identified.known
-    fit = _fit(problem, identified.estimate.residuals)
-    free = [i for i, name in enumerate(problem.names) if name not in identified.kept]
-    bounds_hit = tuple(
-        n for n in on_bounds(problem, final.values) if n not in identified.kept
-    )
-    evidence = FitEvidence(
-        free=tuple(problem.unknowns[i] for i in free),
-        values=final.values[free],
-        standard_errors=np.sqrt(np.diag(identified.others.covariance)),
-        condition=_condition(
-            problem, [problem.names[i] for i in free], identified.others
-        ),
-        bounds_hit=bounds_hit,
-        converged=final.converged,
-        chi2=final.chi2,
-        held_back_chi2=problem.mean_square(tested),
-        incumbent_chi2=problem.mean_square(standing),
-        kept=_kept_sentence(problem, identified),
-        most=most,
-        confused=tuple(
-            problem.names[free[i]] for i in identified.others.confused(limits.condition)
-        ),
-        still=_still(window, problem.base.model.plant),
-    )
-    status, reason = judge(evidence, limits)
     return Match(
         parameters=problem.experiment.parameters_at(final.values),
         free=problem.names,
@@ -439,8 +404,8 @@ def _with_fit(
         fisher=of_all.fisher,
         eigenvalues=of_all.eigenvalues,
         condition=of_all.condition,
-        bounds_hit=bounds_hit,
-        fit=fit,
+        bounds_hit=evidence.bounds_hit,
+        fit=_fit(problem, final.residuals),
         held_back=_fit(problem, tested),
         chi2=final.chi2,
         samples=(window.first, window.last),
@@ -451,6 +416,56 @@ def _with_fit(
         believed=identified.believed,
         determined=identified.determined,
         suggestion=identified.suggestion,
+    )
+
+
+def _identified(
+    problem: Problem, best: Estimate, rival: Parameters, limits: GateLimits
+) -> Identified:
+    """The best fit with what it determines; parameters that it does not are kept at the rival's values."""
+
+    def stands(of_all: Uncertainty, values: FloatArray) -> bool:
+        errors = np.sqrt(np.diag(of_all.covariance))
+        if not _condition(problem, problem.names, of_all) <= limits.condition:
+            return False
+        loose = undetermined(problem.unknowns, values, errors, limits)
+        return not loose and not on_bounds(problem, values)
+
+    if best.converged and best.chi2 <= limits.most(problem.law):
+        return identify(problem, best, rival, stands)
+    return unidentified(problem, best)
+
+
+def _evidence(
+    problem: Problem,
+    identified: Identified,
+    limits: GateLimits,
+    tested: FloatArray,
+    standing: FloatArray,
+) -> FitEvidence:
+    """What the gate checks; `tested` and `standing` are the residuals of the test fit and of the rival on the
+    held-back part."""
+    final = identified.estimate
+    kept = identified.kept
+    free = [i for i, name in enumerate(problem.names) if name not in kept]
+    names = [problem.names[i] for i in free]
+    confused = identified.others.confused(limits.condition)
+    return FitEvidence(
+        free=tuple(problem.unknowns[i] for i in free),
+        values=final.values[free],
+        standard_errors=np.sqrt(np.diag(identified.others.covariance)),
+        condition=_condition(problem, names, identified.others),
+        bounds_hit=tuple(
+            name for name in on_bounds(problem, final.values) if name not in kept
+        ),
+        converged=final.converged,
+        chi2=final.chi2,
+        held_back_chi2=problem.mean_square(tested),
+        incumbent_chi2=problem.mean_square(standing),
+        kept=_kept_sentence(problem, identified),
+        most=limits.most(problem.law),
+        confused=tuple(names[place] for place in confused),
+        still=_still(problem.window, problem.base.model.plant),
     )
 
 

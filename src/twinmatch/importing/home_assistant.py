@@ -88,22 +88,8 @@ def _states(
 
     `units` is filled with the unit of each entity that states one.
     """
-    columns = {str(row[1]) for row in database.execute("PRAGMA table_info(states)")}
-    tables = {str(row[0]) for row in database.execute("SELECT name FROM sqlite_master")}
-    if "state" not in columns:
-        raise sqlite3.DatabaseError("it has no table of states")
-    entity = "states_meta.entity_id" if "states_meta" in tables else "states.entity_id"
-    joined = ""
-    if "states_meta" in tables:
-        joined = "JOIN states_meta ON states_meta.metadata_id = states.metadata_id"
-    stamp = "last_updated_ts" if "last_updated_ts" in columns else "last_updated"
-    attributes = "states.attributes" if "attributes" in columns else "''"
-    if "state_attributes" in tables:
-        joined += " LEFT JOIN state_attributes ON state_attributes.attributes_id = states.attributes_id"
-        attributes = "state_attributes.shared_attrs"
-    query = f"SELECT {entity}, states.state, states.{stamp}, {attributes} FROM states {joined}"  # noqa: S608
     rows_of: dict[str, list[_EntityState]] = {}
-    for name, text, time, document in database.execute(query):
+    for name, text, time, document in database.execute(_query_for(database)):
         seconds = _seconds(time)
         if name is None or seconds is None:
             continue
@@ -120,6 +106,30 @@ def _states(
     for rows in rows_of.values():
         if any(_is_number(state.text) for state in rows):
             yield from rows
+
+
+def _query_for(database: sqlite3.Connection) -> str:
+    """The query for entity, state, time and attributes of all states, by what this version of Home Assistant keeps
+    where.
+
+    Raises:
+        sqlite3.DatabaseError: it has no states.
+    """
+    columns = {str(row[1]) for row in database.execute("PRAGMA table_info(states)")}
+    tables = {str(row[0]) for row in database.execute("SELECT name FROM sqlite_master")}
+    if "state" not in columns:
+        raise sqlite3.DatabaseError("it has no table of states")
+    stamp = "last_updated_ts" if "last_updated_ts" in columns else "last_updated"
+    attributes = "states.attributes" if "attributes" in columns else "''"
+    entity = "states.entity_id"
+    joined = ""
+    if "states_meta" in tables:
+        entity = "states_meta.entity_id"
+        joined = "JOIN states_meta ON states_meta.metadata_id = states.metadata_id"
+    if "state_attributes" in tables:
+        attributes = "state_attributes.shared_attrs"
+        joined += " LEFT JOIN state_attributes ON state_attributes.attributes_id = states.attributes_id"
+    return f"SELECT {entity}, states.state, states.{stamp}, {attributes} FROM states {joined}"  # noqa: S608
 
 
 def _attributes(document: Any) -> dict[str, Any]:

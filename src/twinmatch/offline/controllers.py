@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -19,7 +20,7 @@ from twinmatch.controllers import (
     law_from,
     suited,
 )
-from twinmatch.dynamics import SKIPPED, Law, Plant, simulate_window
+from twinmatch.dynamics import SKIPPED, Law, Model, Plant, simulate_window
 from twinmatch.dynamics.pace import plant_scale, time_scale
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting import fit_session, in_parts
@@ -37,7 +38,7 @@ from twinmatch.plants.files import load_law
 from twinmatch.sessions import Session
 from twinmatch.sessions.documents import parse_json, read_text
 from twinmatch.settings import Rule
-from twinmatch.signals import MEDIAN_TO_SIGMA, FloatArray, Sample, stretches
+from twinmatch.signals import MEDIAN_TO_SIGMA, FloatArray, Sample, Window, stretches
 from twinmatch.twin import Outcome, Twin, TwinSettings
 from twinmatch.twin.tried import tried_twins
 
@@ -305,8 +306,31 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
 
     What changes from window to window, such as the room, shows as their differences.
     """
+    whole = _stretches_to_fit(ground)
+    supported = _supported_models(ground, whole)
+    windows = _windows_to_fit(ground.plant, whole)
+    members = []
+    total = len(windows) * len(supported)
+    for count, (model, window) in enumerate(product(supported, windows), 1):
+        fit = fit_session(model, window)
+        if watch is not None:
+            watch(count, total)
+        if fit.converged:
+            free = model.structure.free
+            name = f"{model.structure_name}, {window.first} to {window.last}"
+            members.append(
+                ground.seen_by(TriedTwin(name, fit.parameters, free, fit.covariance))
+            )
+    return tuple(members)
+
+
+def _stretches_to_fit(ground: Ground) -> tuple[Window, ...]:
+    """The stretches of a session without gaps.
+
+    Raises:
+        ControllerError: none is long enough.
+    """
     session = ground.session
-    plant = ground.plant
     whole = stretches(ground.sound, session.period)
     if not any(len(stretch) >= FITS.shortest for stretch in whole):
         reasons = "; ".join(part.sentence for part in ground.left_out)
@@ -314,6 +338,16 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
             f"session {session.name}: no stretch of {FITS.shortest} samples is left to fit twins to"
             f"{reasons and f' ({reasons})'}; record more samples"
         )
+    return whole
+
+
+def _supported_models(ground: Ground, whole: Sequence[Window]) -> list[Model]:
+    """The models of a plant that explain all of its stretches best, or nearly as well.
+
+    Raises:
+        ControllerError: none explains enough.
+    """
+    plant = ground.plant
     models = [
         plant.model(name)
         for name, structure in plant.structures.items()
@@ -326,35 +360,25 @@ def _fitted(ground: Ground, watch: Watch | None) -> tuple[TriedTwin, ...]:
         advice = (
             "record steps of every input" if together is None else together.sentence
         )
+        explained = 100 * max(best.fit[0], 0.0)
         raise ControllerError(
-            f"session {session.name}: {best.model.title} explains only {100 * max(best.fit[0], 0.0):.0f} % "
+            f"session {ground.session.name}: {best.model.title} explains only {explained:.0f} % "
             f"of its movement, so it cannot say what a controller would do; {advice}"
         )
-    supported = [
-        fit.model for fit in fits if fit.charge <= best.charge + FITS.most_charge
-    ]
-    samples = FITS.window * HOLD  # in a part, if the plant has no time constant
-    parts = [
-        part
-        for stretch in whole
-        for part in in_parts(plant, stretch, FITS.window, otherwise=samples)
-    ]
-    windows = [part for part in parts if len(part) >= FITS.shortest]
-    members = []
-    total = len(windows) * len(supported)
-    for k, (model, window) in enumerate(
-        (model, window) for model in supported for window in windows
-    ):
-        fit = fit_session(model, window)
-        if watch is not None:
-            watch(k + 1, total)
-        if fit.converged:
-            free = model.structure.free
-            name = f"{model.structure_name}, {window.first} to {window.last}"
-            members.append(
-                ground.seen_by(TriedTwin(name, fit.parameters, free, fit.covariance))
-            )
-    return tuple(members)
+    most = best.charge + FITS.most_charge
+    return [fit.model for fit in fits if fit.charge <= most]
+
+
+def _windows_to_fit(plant: type[Plant], whole: Iterable[Window]) -> list[Window]:
+    """Parts of stretches, each long enough to fit a twin to."""
+    samples_without_time_constant = FITS.window * HOLD
+    windows = []
+    for stretch in whole:
+        parts = in_parts(
+            plant, stretch, FITS.window, otherwise=samples_without_time_constant
+        )
+        windows += [part for part in parts if len(part) >= FITS.shortest]
+    return windows
 
 
 def remembered(

@@ -146,65 +146,107 @@ def check_path(kind: str, path: str, fields_of: FieldsOf) -> str:
     """
     if not path:
         return _only(kind, fields_of)
-    field = Field(kind)
-    walked = ""
-    named = False
+    place = _PlaceInMessage(kind, fields_of)
     for step in steps(path):
         if isinstance(step, int | Label):
-            if not field.array:
-                raise SamplingError(
-                    f"{kind}: {walked} is not a list; leave out [{step}]"
-                )
-            if isinstance(step, Label) and not named:
-                example = f"{walked}[0]"
-                raise SamplingError(
-                    f"{kind}: the elements of {walked} have no names; choose one by number, such as {example}"
-                )
-            if (
-                isinstance(step, int)
-                and field.length is not None
-                and step >= field.length
-            ):
-                raise SamplingError(
-                    f"{kind}: {walked} has {field.length} values, counted from 0"
-                )
-            field = Field(field.kind)
-            walked = f"{walked}[{step}]"
-            continue
+            place.enter_element(step)
+        else:
+            place.enter_field(step)
+    place.require_number()
+    return path
+
+
+class _PlaceInMessage:
+    """A place in messages of a type, to which a path leads step by step."""
+
+    def __init__(self, kind: str, fields_of: FieldsOf) -> None:
+        """Begin at the whole message."""
+        self._kind = kind
+        self._fields_of = fields_of
+        self._field = Field(kind)
+        self._path = ""
+        self._has_names = False
+        """Whether a list of texts that may be names stands at the place, or beside the way to it."""
+
+    def enter_element(self, step: int | Label) -> None:
+        """Go on to an element of a list.
+
+        Raises:
+            SamplingError: there is none.
+        """
+        field = self._field
+        if not field.array:
+            raise SamplingError(
+                f"{self._kind}: {self._path} is not a list; leave out [{step}]"
+            )
+        if isinstance(step, Label) and not self._has_names:
+            raise SamplingError(
+                f"{self._kind}: the elements of {self._path} have no names; choose one by number, such as "
+                f"{self._path}[0]"
+            )
+        if isinstance(step, int) and field.length is not None and step >= field.length:
+            raise SamplingError(
+                f"{self._kind}: {self._path} has {field.length} values, counted from 0"
+            )
+        self._field = Field(field.kind)
+        self._path = f"{self._path}[{step}]"
+
+    def enter_field(self, name: str) -> None:
+        """Go on to a field.
+
+        Raises:
+            SamplingError: there is none.
+        """
+        if self._field.array:
+            raise SamplingError(
+                f"{self._kind}: {self._path} is a list; choose an element, such as {self._path}[0].{name}"
+            )
+        has_fields = self._field.kind not in NUMBERS | TEXTS
+        fields = self._fields_of(self._field.kind) if has_fields else {}
+        if name not in fields:
+            where = (
+                f"{self._kind}: {self._path} has" if self._path else f"{self._kind} has"
+            )
+            raise SamplingError(
+                f"{where} no field {name!r}; its numbers: {self._numbers}"
+            )
+        self._has_names = self._has_names or _has_list_of_names(fields)
+        self._field = fields[name]
+        self._path = f"{self._path}.{name}" if self._path else name
+
+    def require_number(self) -> None:
+        """Check that a number is there.
+
+        Raises:
+            SamplingError: it is a list, a text or another message.
+        """
+        field = self._field
         if field.array:
             raise SamplingError(
-                f"{kind}: {walked} is a list; choose an element, such as {walked}[0].{step}"
+                f"{self._kind}: {self._path} is a list; choose an element, such as {self._path}[0]"
             )
-        fields = {} if field.kind in NUMBERS | TEXTS else fields_of(field.kind)
-        if step not in fields:
-            where = f"{kind}: {walked} has" if walked else f"{kind} has"
+        if field.kind in TEXTS:
             raise SamplingError(
-                f"{where} no field {step!r}; its numbers: {_field_list(kind, fields_of)}"
+                f"{self._kind}: {self._path} is text; choose a number: {self._numbers}"
             )
-        named = named or any(
-            fields[n].array and fields[n].kind in TEXTS for n in _NAMES if n in fields
-        )
-        field = fields[step]
-        walked = f"{walked}.{step}" if walked else step
-    if field.array:
-        raise SamplingError(
-            f"{kind}: {walked} is a list; choose an element, such as {walked}[0]"
-        )
-    if field.kind in TEXTS:
-        raise SamplingError(
-            f"{kind}: {walked} is text; choose a number: {_field_list(kind, fields_of)}"
-        )
-    if field.kind not in NUMBERS:
-        paths = [f"{walked}.{below}" for below in fields_below(field.kind, fields_of)]
-        instead = (
-            ", ".join(paths[: _LISTING.in_errors])
-            if paths
-            else _field_list(kind, fields_of)
-        )
-        raise SamplingError(
-            f"{kind}: {walked} is a message; choose a number in it: {instead}"
-        )
-    return path
+        if field.kind not in NUMBERS:
+            below = fields_below(field.kind, self._fields_of)
+            paths = [f"{self._path}.{name}" for name in below]
+            instead = ", ".join(paths[: _LISTING.in_errors]) or self._numbers
+            raise SamplingError(
+                f"{self._kind}: {self._path} is a message; choose a number in it: {instead}"
+            )
+
+    @property
+    def _numbers(self) -> str:
+        """The numbers in the whole message, for an error."""
+        return _field_list(self._kind, self._fields_of)
+
+
+def _has_list_of_names(fields: Mapping[str, Field]) -> bool:
+    """Whether some of these fields are texts that may name the elements of a list beside them."""
+    candidates = [fields[name] for name in _NAMES if name in fields]
+    return any(field.array and field.kind in TEXTS for field in candidates)
 
 
 def fields_below(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -392,10 +392,8 @@ def graded_outputs(
     readings that lie: the twin itself counts neither.
     """
     listener.finish()
-    plant = judgement.settings.plant
     period = judgement.settings.period
-    results: list[tuple[_Graded, list[float]]] = []
-    spoilt = unasked = 0
+    origins = _GradedOrigins()
     total = len(listener.graded)
     with held_interrupts() as check_interrupt:
         for count, (sample, result) in enumerate(reversed(listener.graded.items())):
@@ -405,49 +403,75 @@ def graded_outputs(
                 if not listener.spoilt(sample, sample + samples_within(h, period))
             ]
             if not unspoilt_horizons:
-                spoilt += 1
+                origins.spoilt += 1
             elif result is None:
-                unasked += 1
+                origins.unasked += 1
             else:
-                results.append((result(), unspoilt_horizons))
+                origins.results.append((result(), unspoilt_horizons))
             if watch is not None:
                 watch(count * len(judgement.samples) // total, len(judgement.samples))
             check_interrupt()
-    results.reverse()
-    tests = []
-    for k, alone in outputs_alone(plant):
-        all_marks: list[Marked] = []
-        for graded_origin, unspoilt_horizons in results:
-            all_marks += [
-                mark
-                for mark in graded_origin.marked[k]
-                if mark.horizon in unspoilt_horizons
-            ]
-        marked = common(all_marks)
-        judged = {mark.sample for mark in marked}
-        pictured = one_after_another(
-            result.shown for result, _ in results if result.shown.sample in judged
-        )
-        tests.append(
-            Backtest(
-                name=judgement.name
-                if alone is plant
-                else named_after(judgement.name, alone),
-                plant=alone,
-                period=period,
-                horizons=listener.horizons,
-                confidence=CONFIDENCE,
-                marked=tuple(marked),
-                came=tuple(window.alone(k) for window in judgement.stretches),
-                shown=tuple(forecast.alone(k) for forecast in pictured),
-                notes=tuple(
-                    _notes(total, judged, all_marks, spoilt=spoilt, unasked=unasked)
-                ),
-                last=judgement.verdicts[-1] if judgement.verdicts else None,
-                summary=judgement.summary,
+    origins.results.reverse()
+    return tuple(
+        _backtest_of(judgement, listener, origins, k, alone)
+        for k, alone in outputs_alone(judgement.settings.plant)
+    )
+
+
+@dataclass
+class _GradedOrigins:
+    """The samples from which forecasts were made, and what became of these."""
+
+    results: list[tuple[_Graded, list[float]]] = field(default_factory=list)
+    """What was scored, in order of time, each with the horizons that no fault touches."""
+    spoilt: int = 0
+    """Number of those of which a fault touches every horizon."""
+    unasked: int = 0
+    """Number of those at which no candidate was there."""
+
+
+def _backtest_of(
+    judgement: Judgement,
+    listener: Listener,
+    origins: _GradedOrigins,
+    k: int,
+    alone: type[Plant],
+) -> Backtest:
+    """The scores of output number k; `alone` is the plant with this output only."""
+    all_marks: list[Marked] = []
+    for graded_origin, unspoilt_horizons in origins.results:
+        all_marks += [
+            mark
+            for mark in graded_origin.marked[k]
+            if mark.horizon in unspoilt_horizons
+        ]
+    marked = common(all_marks)
+    judged = {mark.sample for mark in marked}
+    pictured = one_after_another(
+        result.shown for result, _ in origins.results if result.shown.sample in judged
+    )
+    is_only_output = alone is judgement.settings.plant
+    return Backtest(
+        name=judgement.name if is_only_output else named_after(judgement.name, alone),
+        plant=alone,
+        period=judgement.settings.period,
+        horizons=listener.horizons,
+        confidence=CONFIDENCE,
+        marked=tuple(marked),
+        came=tuple(window.alone(k) for window in judgement.stretches),
+        shown=tuple(forecast.alone(k) for forecast in pictured),
+        notes=tuple(
+            _notes(
+                len(listener.graded),
+                judged,
+                all_marks,
+                spoilt=origins.spoilt,
+                unasked=origins.unasked,
             )
-        )
-    return tuple(tests)
+        ),
+        last=judgement.verdicts[-1] if judgement.verdicts else None,
+        summary=judgement.summary,
+    )
 
 
 def one_after_another(forecasts: Iterable[Forecast]) -> tuple[Forecast, ...]:

@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 from itertools import islice
 
-from twinmatch.comparing import ANYWHERE, Statements, TrustLevel, Verdict, plant_fault
+from twinmatch.comparing import (
+    ANYWHERE,
+    CandidateScore,
+    Statements,
+    TrustLevel,
+    Verdict,
+    plant_fault,
+)
 from twinmatch.description import Quantity, nth
 from twinmatch.offline.summary import TrustRange, held_levels, shown_twin
 from twinmatch.safety import is_limit
-from twinmatch.showing.family import criterion_rows, family_table_of, outputs_of
+from twinmatch.showing.family import (
+    CriterionRow,
+    FamilyTable,
+    criterion_rows,
+    family_table_of,
+    outputs_of,
+)
 from twinmatch.showing.page.health import NodeReports
 from twinmatch.showing.page.state import DashboardState, WhatIfAnswer
 from twinmatch.showing.page.style import DARK, MARK_INKS, MARK_SIGNS, SIGNS
@@ -317,41 +330,59 @@ def family_table(verdict: Verdict | None, *, all_orders: bool) -> str:
         *((c.name, c.unit, c.meaning) for c in columns),
     ]
     head += [(q.symbol, q.unit, q.words) for q in table.parameters]
-    lines = []
+    lines: list[str] = []
     for candidate in table.candidates:
-        nominal = candidate.name == verdict.nominal
-        tag = '<span class="tag">nominal</span>' if nominal else ""
-        figures = [column.text(candidate) for column in table.figures]
-        figures += [table.parameter(candidate, q) for q in table.parameters]
-        # both outputs together; in open loop the output alone
-        both, _ = outputs_of(candidate.orders)[-1]
-        rows = criterion_rows(candidate, table.criteria)
-        shown = [line for line in rows if line.output == both]
-        for line in shown or (None,):
-            chosen = line is None or line.chosen
-            if not (all_orders or chosen):
-                continue
-            cells = [
-                f"<td>{escape(candidate.name)}{tag}</td>" if chosen else "<td></td>"
-            ]
-            if line is not None:
-                cells.append(
-                    f'<td class="left">{escape(line.order)}{" ✓" if chosen else ""}</td>'
-                )
-                cells += [
-                    f'<td class="best">{c.text}</td>'
-                    if c.best
-                    else f"<td>{c.text}</td>"
-                    for c in line.cells
-                ]
-            cells += [
-                f"<td>{escape(value) if chosen else ''}</td>" for value in figures
-            ]
-            kind = "faded"
-            if chosen:
-                kind = "nominal-row" if nominal else ""
-            lines.append(f'<tr class="{kind}">{"".join(cells)}</tr>')
+        is_nominal = candidate.name == verdict.nominal
+        lines += _candidate_rows(
+            candidate, table, is_nominal=is_nominal, all_orders=all_orders
+        )
     return _table(head, lines)
+
+
+def _candidate_rows(
+    candidate: CandidateScore,
+    table: FamilyTable,
+    *,
+    is_nominal: bool,
+    all_orders: bool,
+) -> Iterator[str]:
+    """The rows of a candidate: one for each order, or only that of the chosen one; without models one row."""
+    # both outputs together; in open loop the output alone
+    both, _ = outputs_of(candidate.orders)[-1]
+    every_row = criterion_rows(candidate, table.criteria)
+    of_orders = [of_order for of_order in every_row if of_order.output == both]
+    if not of_orders:
+        yield _chosen_row(candidate, table, "", is_nominal=is_nominal)
+    columns_of_figures = len(table.figures) + len(table.parameters)
+    for of_order in of_orders:
+        cells = _order_cells(of_order)
+        if of_order.chosen:
+            yield _chosen_row(candidate, table, cells, is_nominal=is_nominal)
+        elif all_orders:
+            empty = "<td></td>" * columns_of_figures
+            yield f'<tr class="faded"><td></td>{cells}{empty}</tr>'
+
+
+def _chosen_row(
+    candidate: CandidateScore, table: FamilyTable, of_order: str, *, is_nominal: bool
+) -> str:
+    """A candidate's name, the cells of its chosen order, and its figures."""
+    tag = '<span class="tag">nominal</span>' if is_nominal else ""
+    figures = [column.text(candidate) for column in table.figures]
+    figures += [table.parameter(candidate, q) for q in table.parameters]
+    cells = "".join(f"<td>{escape(figure)}</td>" for figure in figures)
+    kind = "nominal-row" if is_nominal else ""
+    return f'<tr class="{kind}"><td>{escape(candidate.name)}{tag}</td>{of_order}{cells}</tr>'
+
+
+def _order_cells(of_order: CriterionRow) -> str:
+    """An order, marked if it is chosen, and its criteria, the best of each marked."""
+    mark = " ✓" if of_order.chosen else ""
+    cells = [f'<td class="left">{escape(of_order.order)}{mark}</td>']
+    for cell in of_order.cells:
+        kind = ' class="best"' if cell.best else ""
+        cells.append(f"<td{kind}>{cell.text}</td>")
+    return "".join(cells)
 
 
 def events_table(events: Iterable[Event], session: int, period: float) -> str:
