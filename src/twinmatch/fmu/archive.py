@@ -210,33 +210,8 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
     Raises:
         ValueError: the file does not follow FMI 2 or 3.
     """
-    from fmpy import read_model_description  # noqa: PLC0415
-
-    version = _version(folder / "modelDescription.xml")
-    if not version.startswith(("2.", "3.")):
-        raise ValueError(
-            f"it is of FMI {version or 'without version'}; FMI 2 and 3 are supported"
-        )
-    try:
-        description = read_model_description(str(folder), validate=False)
-    except Exception as error:  # FMPy raises many kinds
-        raise ValueError(
-            f"its modelDescription.xml does not follow FMI {version}: {error}"
-        ) from error
-    if len(description.modelVariables) > _LIMITS.variables:
-        raise ValueError(
-            f"it has {len(description.modelVariables)} variables; the limit is {_LIMITS.variables}"
-        )
-    ways = (
-        (MODEL_EXCHANGE, description.modelExchange),
-        (CO_SIMULATION, description.coSimulation),
-    )
-    supported = [(kind, way) for kind, way in ways if way is not None]
-    for _, way in supported:
-        if not re.fullmatch(r"[A-Za-z_]\w*", str(way.modelIdentifier), re.ASCII):
-            raise ValueError(
-                f"its modelIdentifier is {way.modelIdentifier!r}; FMI demands a name of C"
-            )
+    description = _parsed(folder)
+    identifiers = _identifiers(description)
     derived = [
         unknown.variable.derivative.name
         for unknown in description.derivatives
@@ -250,8 +225,8 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
         name=description.modelName or "",
         tool=description.generationTool or "",
         guid=description.guid or "",
-        kinds=tuple(kind for kind, _ in supported),
-        identifiers=tuple(str(way.modelIdentifier) for _, way in supported),
+        kinds=tuple(identifiers),
+        identifiers=tuple(identifiers.values()),
         directional=bool(
             exchange is not None and exchange.providesDirectionalDerivative
         ),
@@ -271,6 +246,55 @@ def read_description(folder: Path, names: Iterable[str]) -> Described:
             _variable(v, order) for v in description.modelVariables if _real_scalar(v)
         ),
     )
+
+
+def _parsed(folder: Path) -> Any:
+    """The description as FMPy reads it.
+
+    Raises:
+        ValueError: it does not follow FMI 2 or 3, or has too many variables.
+    """
+    from fmpy import read_model_description  # noqa: PLC0415
+
+    version = _version(folder / "modelDescription.xml")
+    if not version.startswith(("2.", "3.")):
+        raise ValueError(
+            f"it is of FMI {version or 'without version'}; FMI 2 and 3 are supported"
+        )
+    try:
+        description = read_model_description(str(folder), validate=False)
+    except Exception as error:  # FMPy raises many kinds
+        raise ValueError(
+            f"its modelDescription.xml does not follow FMI {version}: {error}"
+        ) from error
+    if len(description.modelVariables) > _LIMITS.variables:
+        raise ValueError(
+            f"it has {len(description.modelVariables)} variables; the limit is {_LIMITS.variables}"
+        )
+    return description
+
+
+def _identifiers(description: Any) -> dict[str, str]:
+    """The model identifier of each interface type that is supported.
+
+    Raises:
+        ValueError: one is not a name of C, as FMI demands; files are named after it.
+    """
+    interfaces = {
+        MODEL_EXCHANGE: description.modelExchange,
+        CO_SIMULATION: description.coSimulation,
+    }
+    identifiers = {}
+    for kind, interface in interfaces.items():
+        if interface is None:
+            continue
+        identifier = str(interface.modelIdentifier)
+        if not re.fullmatch(r"[A-Za-z_]\w*", identifier, re.ASCII):
+            raise ValueError(
+                f"its modelIdentifier is {interface.modelIdentifier!r}; FMI demands a name of C"
+            )
+        identifiers[kind] = identifier
+    return identifiers
 
 
 def _version(file: Path) -> str:

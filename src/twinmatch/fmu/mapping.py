@@ -338,12 +338,7 @@ def loading(fmu: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
     Raises:
         FmuError: the FMU does not match the map.
     """
-    kind = fmu.own.kind or next(iter(described.kinds), "")
-    if kind not in described.kinds:
-        ways = (
-            " and ".join(described.kinds) or "neither model exchange nor co-simulation"
-        )
-        raise FmuError(f"it supports {ways}" + (f", not {kind}" if kind else ""))
+    kind = _interface_type(fmu, described)
     if described.discrete:
         raise FmuError(remembering(described))
     plant = fmu.plant
@@ -355,25 +350,8 @@ def loading(fmu: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
     states = [links[name] for name in fmu.known_states]
     parameters = [links[name] for name in fmu.known_parameters]
     output = links[plant.output.name]
-    for link in (output, *inputs, *states, *parameters):
-        for name in (link.variable, link.set):
-            if described.called(name) is None:
-                raise FmuError(
-                    f"has no real variable {name!r}; `twinmatch fmu` lists those it has"
-                )
+    _require_variables(described, [output, *inputs, *states, *parameters])
     _check_inputs(described, inputs)
-    states_of_fmu = [
-        v.name
-        for v in sorted(described.variables, key=lambda v: v.state)
-        if v.state >= 0
-    ]
-    if kind == MODEL_EXCHANGE:
-        _check_states(described, states_of_fmu, [link.variable for link in states])
-        _check_settable(described, parameters)
-        places = [states_of_fmu.index(link.variable) for link in states]
-    else:
-        _check_settable(described, [*parameters, *states])
-        places = list(range(len(states)))
     return {
         "ask": "load",
         "described": described.tree,
@@ -386,7 +364,7 @@ def loading(fmu: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
             "states": _references(described, [link.variable for link in states]),
             "output": _references(described, [output.variable]),
         },
-        "places": places,
+        "places": _places_of_states(described, kind, states, parameters),
         "given": [k for k, name in enumerate(plant.disturbances) if name in links],
         "signals": [plant.output.name, plant.drive.name, *plant.disturbances],
         "parameters": fmu.known_parameters,
@@ -395,6 +373,43 @@ def loading(fmu: FmuMap, described: Described) -> tuple[dict[str, Any], str]:
         "sample": sample_time(plant),
         "numbers": _numbers(fmu, [*parameters, *states, *inputs, output]),
     }, kind
+
+
+def _interface_type(fmu: FmuMap, described: Described) -> str:
+    """Model exchange or co-simulation: what the map says or, without a word, the first that the FMU supports."""
+    kind = fmu.own.kind or next(iter(described.kinds), "")
+    if kind not in described.kinds:
+        ways = (
+            " and ".join(described.kinds) or "neither model exchange nor co-simulation"
+        )
+        raise FmuError(f"it supports {ways}" + (f", not {kind}" if kind else ""))
+    return kind
+
+
+def _require_variables(described: Described, links: Sequence[Link]) -> None:
+    for link in links:
+        for name in (link.variable, link.set):
+            if described.called(name) is None:
+                raise FmuError(
+                    f"has no real variable {name!r}; `twinmatch fmu` lists those it has"
+                )
+
+
+def _places_of_states(
+    described: Described, kind: str, states: Sequence[Link], parameters: Sequence[Link]
+) -> list[int]:
+    """The place of each state among those of the machine that runs the FMU; also checks that all can be set.
+
+    In model exchange states are the FMU's own; in co-simulation only their starts are set, as parameters are.
+    """
+    if kind != MODEL_EXCHANGE:
+        _check_settable(described, [*parameters, *states])
+        return list(range(len(states)))
+    with_states = [v for v in described.variables if v.state >= 0]
+    names = [v.name for v in sorted(with_states, key=lambda v: v.state)]
+    _check_states(described, names, [link.variable for link in states])
+    _check_settable(described, parameters)
+    return [names.index(link.variable) for link in states]
 
 
 def _numbers(fmu: FmuMap, links: Sequence[Link]) -> list[list[float]]:
@@ -460,7 +475,7 @@ def _check_inputs(described: Described, links: list[Link]) -> None:
             )
 
 
-def _check_settable(described: Described, links: list[Link]) -> None:
+def _check_settable(described: Described, links: Sequence[Link]) -> None:
     for link in links:
         variable = described.called(link.set)
         if variable is not None and not variable.settable:

@@ -169,7 +169,7 @@ class _PlaceInMessage:
         """Whether a list of texts that may be names stands at the place, or beside the way to it."""
 
     def enter_element(self, step: int | Label) -> None:
-        """Go on to an element of a list.
+        """Enter an element of a list.
 
         Raises:
             SamplingError: there is none.
@@ -192,7 +192,7 @@ class _PlaceInMessage:
         self._path = f"{self._path}[{step}]"
 
     def enter_field(self, name: str) -> None:
-        """Go on to a field.
+        """Enter a field.
 
         Raises:
             SamplingError: there is none.

@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain, count, pairwise
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from twinmatch.sessions.cdr import current, decode_sample
 from twinmatch.sessions.files import ProgressCallback, SessionError, part_of
@@ -261,17 +261,7 @@ def _one_after_another(
 def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> Session:
     files, notes = _files(path)
     scans = [Scan(file) for file in files]
-    counts: Counter[str] = Counter()
-    raw: dict[str, list[Message]] = {}
-    start = 2**64
-    end = 0
-    for message in _with_progress(scans, progress):
-        name = message.topic.name
-        counts[name] += 1
-        start = min(start, message.log_time)
-        end = max(end, message.log_time)
-        if message.topic.type == SAMPLE.type:
-            raw.setdefault(name, []).append(message)
+    contents = _contents_of(_with_progress(scans, progress))
     topics_by_name: dict[str, Topic] = {}
     records: dict[str, Mapping[str, str]] = {}
     for scan in scans:
@@ -285,7 +275,8 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
     place = "; ".join([f"session {name}", *faults])
     chosen = _plant_topic(topics, topic, place)
     samples = [
-        decode_sample(current(message).data) for message in raw.get(chosen.name, [])
+        decode_sample(current(message).data)
+        for message in contents.samples.get(chosen.name, [])
     ]
     check_samples(samples, place)
     missing = [
@@ -294,16 +285,16 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
         *repairs(records),
     ]
     if path.is_dir() and not missing:
-        missing = miscounted(counts_listed(path), counts)
+        missing = miscounted(counts_listed(path), contents.counts)
     return Session(
         name=name,
         path=path,
         topic=chosen.name,
         samples=samples,
         topics=[current_topic(recorded) for recorded in topics],
-        counts={recorded.name: counts[recorded.name] for recorded in topics},
-        start=start,
-        end=end,
+        counts={recorded.name: contents.counts[recorded.name] for recorded in topics},
+        start=contents.start,
+        end=contents.end,
         notes=[
             *missing,
             *_gaps(samples),
@@ -316,6 +307,35 @@ def _read(path: Path, topic: str | None, progress: ProgressCallback | None) -> S
         plant=plant_of(records),
         has_reference=has_reference(records),
     )
+
+
+class _Contents(NamedTuple):
+    """What the messages of a session are."""
+
+    counts: Counter[str]
+    """Number of messages, by topic."""
+    samples: Mapping[str, list[Message]]
+    """Messages that are samples, by topic."""
+    start: int
+    """Time of the first message, ns."""
+    end: int
+    """Time of the last message, ns."""
+
+
+def _contents_of(messages: Iterable[Message]) -> _Contents:
+    """Count messages, and keep those that are samples."""
+    counts: Counter[str] = Counter()
+    samples: dict[str, list[Message]] = {}
+    start = 2**64
+    end = 0
+    for message in messages:
+        name = message.topic.name
+        counts[name] += 1
+        start = min(start, message.log_time)
+        end = max(end, message.log_time)
+        if message.topic.type == SAMPLE.type:
+            samples.setdefault(name, []).append(message)
+    return _Contents(counts, samples, start, end)
 
 
 def _with_progress(

@@ -540,19 +540,19 @@ class Forecaster:
         scored_before = self._longest_below(ahead)
         if not rows_since.is_received[1 + scored_before :].any():
             return
-        outcome = self._outcome(departure, rows_since, ledger.noise.size)
-        self._learn_bands(departure.widths, outcome, scored_before)
-        received = outcome.received
+        compared = self._compared(departure, rows_since, ledger.noise.size)
+        self._learn_bands(departure.widths, compared, scored_before)
+        received = compared.received
         new = received[received >= scored_before]
         ledger.add(
-            tuple(outcome.forecasts),
-            outcome.errors[:, :, new],
-            outcome.baseline_errors[:, :, new],
+            tuple(compared.forecasts),
+            compared.errors[:, :, new],
+            compared.baseline_errors[:, :, new],
             number,
         )
         self.standings = Standings(self._twins, ledger, self.horizons)
-        if ahead == self._longest and departure.leader in outcome.forecasts:
-            self._learn_confidence(departure.leader, outcome, ledger.noise)
+        if ahead == self._longest and departure.leader in compared.forecasts:
+            self._learn_confidence(departure.leader, compared, ledger.noise)
 
     def _longest_below(self, ahead: int) -> int:
         """The longest horizon that is shorter than one, samples, up to which forecasts have been scored already; 0 if
@@ -560,7 +560,7 @@ class Forecaster:
         shorter = (horizon for horizon in self.horizons if horizon < ahead)
         return max(shorter, default=0)
 
-    def _outcome(
+    def _compared(
         self, departure: _Departure, rows_since: SampleRows, signals: int
     ) -> _ComparedForecasts:
         """What became of the forecasts of so many signals, by the rows of the departure and of the samples after
@@ -579,15 +579,18 @@ class Forecaster:
         )
 
     def _learn_bands(
-        self, widths: Mapping[str, FloatArray], outcome: _ComparedForecasts, before: int
+        self,
+        widths: Mapping[str, FloatArray],
+        compared: _ComparedForecasts,
+        before: int,
     ) -> None:
         """Have bands learn from the sizes of the errors, at the leads after `before`.
 
         `widths` are those that they had, by names of the candidates whose bands learn from this forecast.
         """
-        sizes = np.where(outcome.is_received, np.abs(outcome.errors), np.nan)
+        sizes = np.where(compared.is_received, np.abs(compared.errors), np.nan)
         for of_candidate, (name, forecast) in zip(
-            sizes, outcome.forecasts.items(), strict=True
+            sizes, compared.forecasts.items(), strict=True
         ):
             if name in widths:
                 self._twins[name].learn(
@@ -595,12 +598,12 @@ class Forecaster:
                 )
 
     def _learn_confidence(
-        self, leader: str, outcome: _ComparedForecasts, noise: FloatArray
+        self, leader: str, compared: _ComparedForecasts, noise: FloatArray
     ) -> None:
         """Compare the leader with the best in hindsight, by errors in units of the noise, shape (signals,)."""
-        in_noise = rms(outcome.errors[:, :, outcome.received], noise[:, None])
+        in_noise = rms(compared.errors[:, :, compared.received], noise[:, None])
         of_candidates = rms(in_noise)
-        of_leader = of_candidates[list(outcome.forecasts).index(leader)]
+        of_leader = of_candidates[list(compared.forecasts).index(leader)]
         self._leader_confidence.add(float(of_leader), float(of_candidates.min()))
 
     def _forecasts(

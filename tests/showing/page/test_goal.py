@@ -20,7 +20,7 @@ from tests.showing.page.test_metrics import number_key, numbers
 from tests.support.plants import Lag
 from twinmatch.comparing import Candidate
 from twinmatch.dynamics import begin, simulate_driven
-from twinmatch.forecasting import Moment, Outlook
+from twinmatch.forecasting import MAX_SAMPLES, Moment, Outlook
 from twinmatch.launching.shown import RunShown
 from twinmatch.offline.clock_times import ClockTimeError, seconds_until
 from twinmatch.plants import Peltier
@@ -92,6 +92,16 @@ def test_one_begins_as_much_before_as_the_latest_edge_of_the_band_takes() -> Non
 def test_what_is_not_a_goal_is_refused(level: float, by: str, message: str) -> None:
     with pytest.raises(ClockTimeError, match=message):
         Goal(level, by)
+
+
+def test_moments_of_a_fast_plant_have_the_decimals_of_its_period() -> None:
+    moved = Moment(0.123, 0.118, 0.131)
+    answer = GoalAnswer(Goal(8.0), NEVER, 10.0, moved, MORNING)
+    assert answer.lines("rad/s", 0.005) == (
+        f"8 rad/s: not within {MAX_SAMPLES} samples if nothing is changed",
+        "8 rad/s: in 0.123 s (0.118 to 0.131) with 10 from now on",
+    )
+    assert "in 0.1 s (0.1 to 0.1)" in answer.lines("rad/s", 0.1)[1]
 
 
 def test_it_is_on_the_page_a_metric_and_an_entity() -> None:

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 from twinmatch.dynamics import Plant
 from twinmatch.forecasting import MAX_SAMPLES, Moment, Outlook, Question, what_if
 from twinmatch.offline.clock_times import ClockTimeError, clock_words, seconds_until
-from twinmatch.signals import one_of_each
+from twinmatch.signals import decimals_of_time, one_of_each
 
 ASKED_EVERY: Final = 5.0
 """Time between two answers, s: each takes three long forecasts."""
@@ -91,29 +91,30 @@ class GoalAnswer(NamedTuple):
         except ClockTimeError:
             return math.nan
 
-    def lines(self, unit: str) -> tuple[str, ...]:
-        """The answer in words, with levels in the output's `unit`."""
+    def lines(self, unit: str, period: float) -> tuple[str, ...]:
+        """The answer in words, with levels in the output's `unit`, and times as a sampling period, s, needs them."""
+        decimals = decimals_of_time(period)
         level = f"{self.goal.level:g} {unit}".rstrip()
         lines = [
-            f"{level}: {moment_words(self.held)} if nothing is changed",
-            f"{level}: {moment_words(self.moved)} with {self.move:g} from now on",
+            f"{level}: {moment_words(self.held, decimals)} if nothing is changed",
+            f"{level}: {moment_words(self.moved, decimals)} with {self.move:g} from now on",
         ]
         if not math.isnan(self.begin):
             clock = clock_words(self.stamp, self.begin)
             at = f", at {clock}" if clock else ""
             lines.append(
-                f"to be there by {self.goal.by}: begin in {self.begin:.0f} s{at}"
+                f"to be there by {self.goal.by}: begin in {self.begin:.{decimals}f} s{at}"
             )
         return tuple(lines)
 
 
-def moment_words(moment: Moment) -> str:
-    """When something happens, with its band, s."""
+def moment_words(moment: Moment, decimals: int) -> str:
+    """When something happens, with its band, s with so many decimals."""
     if moment.expected is None:
         return f"not within {MAX_SAMPLES} samples"
     earliest = moment.expected if moment.earliest is None else moment.earliest
-    latest = "later" if moment.latest is None else f"{moment.latest:.0f}"
-    return f"in {moment.expected:.0f} s ({earliest:.0f} to {latest})"
+    latest = "later" if moment.latest is None else f"{moment.latest:.{decimals}f}"
+    return f"in {moment.expected:.{decimals}f} s ({earliest:.{decimals}f} to {latest})"
 
 
 def soonest(

@@ -36,7 +36,7 @@ from twinmatch.showing.verdicts import (
     row,
     trust_by_signal,
 )
-from twinmatch.signals import point_values
+from twinmatch.signals import decimals_of_time, point_values
 
 RECENT = 80
 """Events in the table."""
@@ -390,7 +390,7 @@ def events_table(events: Iterable[Event], session: int, period: float) -> str:
     lines = []
     for event in islice(events, RECENT):
         when = event.time(period)
-        begin = DASH if when is None else number(when, 0)
+        begin = DASH if when is None else number(when, decimals_of_time(period))
         if event.session != session:
             begin = f"session {event.session}: {begin}"
         lines.append(
@@ -433,7 +433,7 @@ def goal(state: DashboardState) -> str:
     """When the level that is asked for is reached, and when to begin."""
     if state.goal is None:
         return ""
-    words = state.goal.lines(state.described.output.unit)
+    words = state.goal.lines(state.described.output.unit, state.period)
     lines = "".join(f"<p>{escape(line)}</p>" for line in words)
     return f'<div class="answered"><b>When is it there?</b>{lines}</div>'
 
