@@ -204,7 +204,8 @@ class Loop:
     (none yet, or the newest reading is stale) makes no sample and switches the output off; a tick that is
     late by a period or more means that others were missed. Neither is filled in: a sample's index is the
     number of its tick on the grid, so a gap in the indices is a gap in time; behind a long one windows of
-    samples start over. The controller restarts after a gap too, bumplessly from the current output.
+    samples start over. The controller restarts after a gap too, bumplessly from the current output. A tick that is
+    early by half a period or more does not count; where the clock is set back, there is a gap.
     """
 
     pids: list[Controller]

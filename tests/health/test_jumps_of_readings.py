@@ -5,16 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.support.public_kit import public_kit
-from twinmatch.control import Controller
-from twinmatch.dynamics import law_of
+from tests.support.public_kit import Pair, held, kit_under_its_loop
 from twinmatch.health.channels import ChannelMonitor
 from twinmatch.health.faults import TRAITS, Fault, Subject
 from twinmatch.health.jumps import JumpsOfReadings
 from twinmatch.health.recent_samples import RecentSamples
 from twinmatch.health.sensors import LearnedSensor
 from twinmatch.plants import TCLabBoth
-from twinmatch.signals import NANOSECONDS, Sample
 
 LEVELS = ((35.0, 35.0), (50.0, 35.0), (50.0, 45.0))
 """Set-points of both heaters, °C, each held for `HOLD`."""
@@ -29,25 +26,21 @@ def test_a_sensor_that_is_off_at_once_is_named_soon_and_nothing_before(
     seed: int,
 ) -> None:
     """The onset of what explains it best lies 4 samples before the jump with seed 22, and 3 behind it with 41."""
-    kit = public_kit(seed)
+
+    def readings(second: int, temperatures: Pair, _room: float) -> Pair:
+        off = 5.0 if second >= JUMP else 0.0
+        return temperatures[0] + off, temperatures[1]
+
     monitor = ChannelMonitor(TCLabBoth.model(TCLabBoth.followed).typical(), 1.0)
-    controller = Controller(law_of(TCLabBoth, 1.0))
+    references = held(LEVELS, HOLD, JUMP + 30)
     named = []
-    for k in range(JUMP + 30):
-        reference = LEVELS[min(k // HOLD, len(LEVELS) - 1)]
-        off = 5.0 if k >= JUMP else 0.0
-        measured = (float(kit.T1) + off, float(kit.T2))
-        command = controller.step(np.array(reference), np.array(measured))
-        drives = (float(command[0]), float(command[1]))
-        monitor.push(Sample(k, k * NANOSECONDS, reference, measured, drives))
+    for sample, _ in kit_under_its_loop(seed, references, readings=readings):
+        monitor.push(sample)
         if monitor.on is not None and not named:
-            named.append((k, monitor.on.fault, monitor.on.signal))
-        kit.Q1(drives[0])
-        kit.Q2(drives[1])
-        kit.update(float(k + 1))
-    ((sample, fault, signal),) = named
+            named.append((sample.index, monitor.on.fault, monitor.on.signal))
+    ((second, fault, signal),) = named
     # Of 60 seeds the last was named after 18 s: an onset behind the jump gathers evidence late.
-    assert JUMP <= sample <= JUMP + 20
+    assert JUMP <= second <= JUMP + 20
     assert TRAITS[fault].subject is Subject.OUTPUT
     assert signal == "temperature"
 
@@ -58,19 +51,15 @@ def test_two_sensors_that_jump_by_six_steps_of_their_display_are_reported_at_onc
 ) -> None:
     """Both read 2 °C more or less from one sample to the next, in a display with steps of 0.32 °C."""
     jumps = 700
-    kit = public_kit(5)
+
+    def readings(second: int, temperatures: Pair, _room: float) -> Pair:
+        added = off if second >= jumps else 0.0
+        return temperatures[0] + added, temperatures[1] + added
+
     monitor = ChannelMonitor(TCLabBoth.model(TCLabBoth.followed).typical(), 1.0)
-    controller = Controller(law_of(TCLabBoth, 1.0))
-    for k in range(jumps + 4):
-        added = off if k >= jumps else 0.0
-        measured = (float(kit.T1) + added, float(kit.T2) + added)
-        references = (45.0, 40.0) if k >= 300 else (35.0, 35.0)
-        command = controller.step(np.array(references), np.array(measured))
-        drives = (float(command[0]), float(command[1]))
-        monitor.push(Sample(k, k * NANOSECONDS, references, measured, drives))
-        kit.Q1(drives[0])
-        kit.Q2(drives[1])
-        kit.update(float(k + 1))
+    references = [(35.0, 35.0)] * 300 + [(45.0, 40.0)] * (jumps - 296)
+    for sample, _ in kit_under_its_loop(5, references, readings=readings):
+        monitor.push(sample)
     (alarm,) = monitor.alarms
     assert (alarm.fault, alarm.last) == (Fault.DRIFT, None)
     assert jumps <= alarm.flagged <= jumps + 3

@@ -7,9 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from tests.support.public_kit import public_kit
-from twinmatch.control import Controller
-from twinmatch.dynamics import law_of
+from tests.support.public_kit import Pair, held, kit_under_its_loop
 from twinmatch.emulation.faults import FaultSchedule, parse_faults
 from twinmatch.health.channel_alarms import ChannelAlarm
 from twinmatch.health.channels import ChannelMonitor
@@ -22,7 +20,6 @@ from twinmatch.health.runaway import (
     runs_away,
 )
 from twinmatch.plants import TCLabBoth
-from twinmatch.signals import NANOSECONDS, Sample
 
 LEVELS = ((35.0, 35.0), (50.0, 35.0), (50.0, 45.0), (40.0, 45.0), (50.0, 40.0))
 """Set-points of both heaters, °C, each held for `HOLD`."""
@@ -45,28 +42,25 @@ class Watched(NamedTuple):
 
 def watched(seed: int, faults: str, size: int) -> Watched:
     """A kit of the package's model under its usual loop, of `size` seconds."""
-    kit = public_kit(seed)
     monitor = ChannelMonitor(TCLabBoth.model(TCLabBoth.followed).typical(), 1.0)
-    controller = Controller(law_of(TCLabBoth, 1.0))
     schedule = FaultSchedule(parse_faults(faults))
     read = [0.0, 0.0]
-    farthest = 0.0
-    for k in range(size):
-        schedule.due(k)
-        true = (float(kit.T1), float(kit.T2))
+
+    def readings(second: int, temperatures: Pair, room: float) -> Pair:
+        schedule.due(second)
         for place in range(2):
             if not schedule.acts("sensor-frozen", place + 1):
-                read[place] = schedule.told(true[place], float(kit.Ta), k, place + 1)
-        reference = LEVELS[min(k // HOLD, len(LEVELS) - 1)]
-        command = controller.step(np.array(reference), np.array(read))
-        drives = (float(command[0]), float(command[1]))
-        monitor.push(Sample(k, k * NANOSECONDS, reference, (read[0], read[1]), drives))
+                told = schedule.told(temperatures[place], room, second, place + 1)
+                read[place] = told
+        return read[0], read[1]
+
+    farthest = 0.0
+    references = held(LEVELS, HOLD, size)
+    for sample, temperatures in kit_under_its_loop(seed, references, readings=readings):
+        monitor.push(sample)
         for estimate in monitor.estimates:
-            off = abs(estimate.value - true[place_of(estimate.signal)])
+            off = abs(estimate.value - temperatures[place_of(estimate.signal)])
             farthest = max(farthest, off)
-        kit.Q1(drives[0])
-        kit.Q2(drives[1])
-        kit.update(float(k + 1))
     return Watched(monitor.alarms, farthest)
 
 

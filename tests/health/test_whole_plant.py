@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
 import pytest
 
-from tests.support.public_kit import public_kit
-from twinmatch.control import Controller
-from twinmatch.dynamics import law_of
+from tests.support.public_kit import Pair, held, kit_under_its_loop
 from twinmatch.health.channels import ChannelMonitor
 from twinmatch.health.faults import Fault
 from twinmatch.plants import TCLabBoth
-from twinmatch.signals import NANOSECONDS, Sample
+from twinmatch.signals import Sample
 
 LEVELS = ((35.0, 35.0), (50.0, 35.0), (50.0, 45.0), (40.0, 45.0), (50.0, 40.0))
 """Set-points of both heaters, °C, each held for `HOLD`."""
@@ -29,18 +26,13 @@ def samples(
     In this model heat is lost where the heater is, which follows its command within seconds. So a draught that makes
     losses 1.5 times as large is, but for these seconds, two thirds of the heat.
     """
-    kit = public_kit(seed)
-    controller = Controller(law_of(TCLabBoth, 1.0))
-    for k in range(size):
-        read = (float(kit.T1), float(kit.T2))
-        reference = LEVELS[min(k // HOLD, len(LEVELS) - 1)]
-        command = controller.step(np.array(reference), np.array(read))
-        drives = (float(command[0]), float(command[1]))
-        yield Sample(k, k * NANOSECONDS, reference, read, drives)
-        stays = share if k >= begins else (1.0, 1.0)
-        kit.Q1(stays[0] * drives[0])
-        kit.Q2(stays[1] * drives[1])
-        kit.update(float(k + 1))
+    references = held(LEVELS, HOLD, size)
+
+    def heat(second: int) -> Pair:
+        return share if second >= begins else (1.0, 1.0)
+
+    for sample, _ in kit_under_its_loop(seed, references, heat=heat):
+        yield sample
 
 
 def watched(

@@ -108,7 +108,7 @@ def test_an_experiment_is_proposed_in_words_as_json_and_as_a_figure(
     )
     first, *course_lines = capsys.readouterr().out.splitlines()
     assert re.match(
-        r"hold temperature \d+ °C for .* characters for structure are expected", first
+        r"hold temperature \d+ °C for .* bits for structure are expected", first
     )
     assert [line.split(":")[0].strip() for line in course_lines] == [
         "proposed",
@@ -120,9 +120,7 @@ def test_an_experiment_is_proposed_in_words_as_json_and_as_a_figure(
     course = document["courses"][0]
     assert document["goal"] == "structure"
     assert len(course["levels"][0]) <= 120
-    assert course["characters"] > max(
-        rival["characters"] for rival in document["courses"][1:]
-    )
+    assert course["bits"] > max(rival["bits"] for rival in document["courses"][1:])
     assert figure.read_text("utf-8").count("<svg") == 1
     undecided = ["--loop", str(law_file(tmp_path, proportional=150, integral=10))]
     assert main([*base, "--minutes", "1", "--for", "controller", *undecided]) == 0

@@ -107,7 +107,7 @@ RUNS = {
     f"{TW} try-controller SESSION --loop law.json": Runs(
         "law.json: safe for all that the data allow", LONGER, needs=("law",)
     ),
-    f"{TW} experiment SESSION": Runs("characters for structure are expected", LONGER),
+    f"{TW} experiment SESSION": Runs("bits for structure are expected", LONGER),
     f"{TW} backtest SESSION": Runs("persistence", LONGER),
     f"{TW} verify SESSION": Runs(
         "are identical, bit for bit",

@@ -24,6 +24,8 @@ from twinmatch.controllers import (
     ControllerAnswer,
     ControllerError,
     ControllerQuestion,
+    ExperimentTerms,
+    NextExperiment,
     TriedTwin,
     goal_named,
     next_experiment,
@@ -148,36 +150,48 @@ def run(options: argparse.Namespace) -> int:
             return _before_trust(ground, error.reason, options)
         if options.pid is not None:
             return _first_pid(ground, twins, options)
-        answer = None if options.loop is None else _tried(options.loop, ground, twins)
-        goal = goal_named(options.goal, twins, terms, answer)
-        try:
-            with Progress("searching") as progress:
-                experiment = next_experiment(twins, goal, terms, progress.advance)
-        except ControllerError as error:
-            together = moved_together(ground)
-            if together is None:
-                raise
-            raise ControllerError(f"experiment: {together.sentence}") from error
+        experiment = _best_experiment(ground, twins, terms, options)
+    _show_experiment(experiment, ground, options)
+    return 0 if experiment.course.bits >= LEAST else 3
+
+
+def _best_experiment(
+    ground: Ground,
+    twins: tuple[TriedTwin, ...],
+    terms: ExperimentTerms,
+    options: argparse.Namespace,
+) -> NextExperiment:
+    """The course after which most is known of what is asked.
+
+    Raises:
+        ControllerError: there is none, or nothing to decide.
+    """
+    answer = None if options.loop is None else _tried(options.loop, ground, twins)
+    goal = goal_named(options.goal, twins, terms, answer)
+    try:
+        with Progress("searching") as progress:
+            return next_experiment(twins, goal, terms, progress.advance)
+    except ControllerError as error:
+        together = moved_together(ground)
+        if together is None:
+            raise
+        raise ControllerError(f"experiment: {together.sentence}") from error
+
+
+def _show_experiment(
+    experiment: NextExperiment, ground: Ground, options: argparse.Namespace
+) -> None:
+    """Print the course; write and draw it where that was asked for."""
     for line in experiment_words(experiment):
         print(line)
-    write_json(
-        options.json,
-        lambda: (
-            experiment_document(experiment)
-            | {
-                "notes": [
-                    *ground.session.missing,
-                    *(part.sentence for part in ground.left_out),
-                ]
-            }
-        ),
-    )
+    left_out = [part.sentence for part in ground.left_out]
+    notes = {"notes": [*ground.session.missing, *left_out]}
+    write_json(options.json, lambda: experiment_document(experiment) | notes)
     if options.figure is not None:
         from twinmatch.showing.figures.controllers import draw_experiment  # noqa: PLC0415
         from twinmatch.showing.figures.drawing import save  # noqa: PLC0415
 
         save(draw_experiment(experiment), options.figure)
-    return 0 if experiment.course.bits >= LEAST else 3
 
 
 def _opened(options: argparse.Namespace) -> Session:

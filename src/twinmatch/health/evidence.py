@@ -622,12 +622,6 @@ class Competition:
         that is not linear where its equations are."""
         return bool(self.healthy.forecasts.doubts.max() > _INEXACT)
 
-    @property
-    def blind(self) -> bool:
-        """Whether the plant is better described by no equations, or by doubting them as far as possible."""
-        weights = np.exp(self.healthy.log_weights)
-        return bool(weights[-1] + weights[self.healthy.levels - 1] > 0.5)
-
     def believed(self, name: str) -> float:
         """The believed value of one of the numbers."""
         return self.number_in(self.healthy.members.at[self.healthy.best], name)
@@ -639,9 +633,7 @@ class Competition:
     def remains(self, suspect: Suspect) -> float:
         """Share of a jump of the number that has not faded."""
         return float(
-            self._traces.trace[
-                suspect.hypothesis, self.healthy.numbers[suspect.row.number]
-            ]
+            self._traces.trace[suspect.trace, self.healthy.numbers[suspect.row.number]]
         )
 
     def adopt_jumps(self, outputs: list[int]) -> None:
@@ -681,12 +673,12 @@ class Competition:
     def _trace_of(self, suspect: Suspect, b: int) -> int:
         """The trace of a suspect in a healthy member: its own, if it has one that began then."""
         if b >= self.healthy.levels:
-            return suspect.hypothesis
-        row = self._places.row_of(suspect.hypothesis)
+            return suspect.trace
+        row = self._places.row_of(suspect.trace)
         for trace in self._places.of(b, row):
             if self._traces.born[trace] == suspect.born:
                 return trace
-        return suspect.hypothesis
+        return suspect.trace
 
     def left_after(self, suspect: Suspect, row: ChangeRow, before: FloatArray) -> float:
         """How far the number of a row would be from what was believed before, if a suspect were taken for how the

@@ -400,45 +400,62 @@ class Monitor:
 
     def _effect_missing(self, index: int) -> Evidence:
         """The evidence for a missing effect: a lost drive, a weak one, or readings that lag."""
-        lost = self._effect.share < self.settings.lost
-        self._contrary = self._contrary + 1 if lost else 0
+        is_lost = self._effect.share < self.settings.lost
+        self._contrary = self._contrary + 1 if is_lost else 0
         self._feeble += 1
-        lag = (
-            self._lag.seconds(self._effect.length)
-            if self._lagged_effect is None
-            else None
-        )
+        lag = self._lag_of_readings()
         if lag is not None:
-            lag *= self.settings.period / self.settings.pace
-        sure = self._contrary >= _REPORTING.confirm
+            return self._sentences.late(
+                index, self._effect, lag, sure=self._is_surely_lost
+            )
+        if is_lost and (self._is_surely_lost or not self._is_surely_weak):
+            return self._lost_drive(index)
+        return self._sentences.weak(
+            index, self._effect, self._feeble, sure=self._is_surely_weak
+        )
+
+    def _lag_of_readings(self) -> float | None:
+        """By how much readings that come late lag, s; None if that does not explain the missing effect."""
+        if self._lagged_effect is not None:
+            return None
+        lag = self._lag.seconds(self._effect.length)
+        if lag is None:
+            return None
+        return lag * (self.settings.period / self.settings.pace)
+
+    @property
+    def _is_surely_lost(self) -> bool:
+        """Whether a lost drive has shown for long enough to be reported."""
+        is_confirmed = self._contrary >= _REPORTING.confirm
         if self._acts_within_sample and not self._balance.earned:
             # A balance that has not predicted this plant may not know how late it follows.
-            sure = (
-                sure
-                and (self._contrary + self._effect.length) * self.settings.pace
-                >= _REPORTING.shows
-            )
-        if lag is not None:
-            return self._sentences.late(index, self._effect, lag, sure=sure)
-        weakly = (
-            self._balance.smooth
-            and self._feeble * self.settings.pace >= _REPORTING.weakly
+            lasted = (self._contrary + self._effect.length) * self.settings.pace
+            return is_confirmed and lasted >= _REPORTING.shows
+        return is_confirmed
+
+    @property
+    def _is_surely_weak(self) -> bool:
+        """Whether a weak drive has shown for long enough to be reported."""
+        lasted = self._feeble * self.settings.pace
+        return self._balance.smooth and lasted >= _REPORTING.weakly
+
+    def _lost_drive(self, index: int) -> Evidence:
+        """The evidence for a lost drive or, as long as larger losses may explain the same, for what is known of
+        either."""
+        losses_may_explain = self._losses_may_explain
+        cannot_compare = self._lagged_effect is not None and not self._slow.compares
+        missing = self._sentences.lost(
+            index,
+            self._effect,
+            sure=self._is_surely_lost,
+            lagged=losses_may_explain or cannot_compare,
         )
-        if lost and (sure or not weakly):
-            losses_may_explain = self._losses_may_explain
-            lagged = losses_may_explain or (
-                self._lagged_effect is not None and not self._slow.compares
-            )
-            missing = self._sentences.lost(
-                index, self._effect, sure=sure, lagged=lagged
-            )
-            if not losses_may_explain:
-                return missing
-            named = self._slow.evidence
-            if named is not None and named.sure and named.fault is not Fault.DRIFT:
-                return named
-            return missing._replace(fault=Fault.DRIFT)
-        return self._sentences.weak(index, self._effect, self._feeble, sure=weakly)
+        if not losses_may_explain:
+            return missing
+        named = self._slow.evidence
+        if named is not None and named.sure and named.fault is not Fault.DRIFT:
+            return named
+        return missing._replace(fault=Fault.DRIFT)
 
     @property
     def _losses_may_explain(self) -> bool:
@@ -510,38 +527,21 @@ class Monitor:
 
     def _raise(self, index: int, evidence: Evidence) -> Alarm | None:
         """Open an alarm, in place of the one that is on if this fault may replace it; None if it may not."""
-        earliest = self._begin
-        # A trace reaches back over a few refused readings.
-        ended = [a.last for a in self._alarms if a.last is not None and a.alters]
+        earliest = self._earliest_begin()
         if self._open:
-            on = self._alarms[-1].fault
-            if (
-                evidence.tracked
-                and evidence.fault is on
-                and self._slow.reported is None
-            ):
-                # the drive's effect has reported it already
-                self._slow.mark_reported(index)
-                self._is_tracked = self._is_tracked or on is Fault.DRIFT
-            preceding = (
-                frozenset(Fault) - {_REFUSED} if self._brief else PRECEDENCE.get(on, ())
-            )
-            if evidence.fault not in preceding:
+            self._note_tracked(index, evidence)
+            if not self._may_replace(evidence):
                 return None
-            if evidence.fault is _REFUSED and self._refused < _REPORTING.confirm:
-                return None
+            is_same_trace = self._unsettled and evidence.fault not in SLOW
             if self._brief:
                 self._close(self._refused_at)
-            elif self._unsettled and evidence.fault not in SLOW:  # it is the same trace
-                evidence = evidence._replace(
-                    first=min(evidence.first, self._alarms[-1].first)
-                )
+            elif is_same_trace:
+                began = min(evidence.first, self._alarms[-1].first)
+                evidence = evidence._replace(first=began)
                 self._close(index - 1)
             else:
                 earliest = index
                 self._close(index - 1)
-        if earliest < index and ended:
-            earliest = max(self._begin, ended[-1] + 1)
         self._alarms.append(
             Alarm(
                 evidence.fault,
@@ -555,6 +555,30 @@ class Monitor:
         )
         self._begun(index, evidence)
         return self._alarms[-1]
+
+    def _earliest_begin(self) -> int:
+        """The sample from which on the trace of an alarm counts: behind the newest alarm that is over. A few refused
+        readings end no trace."""
+        ends = [a.last for a in self._alarms if a.last is not None and a.alters]
+        return max(self._begin, ends[-1] + 1) if ends else self._begin
+
+    def _note_tracked(self, index: int, evidence: Evidence) -> None:
+        """Note that the tracker has found the fault of the alarm that is on, which the drive's effect has reported."""
+        on = self._alarms[-1].fault
+        is_of_alarm = evidence.tracked and evidence.fault is on
+        if is_of_alarm and self._slow.reported is None:
+            self._slow.mark_reported(index)
+            self._is_tracked = self._is_tracked or on is Fault.DRIFT
+
+    def _may_replace(self, evidence: Evidence) -> bool:
+        """Whether an alarm of this fault may replace the one that is on."""
+        on = self._alarms[-1].fault
+        preceding = (
+            frozenset(Fault) - {_REFUSED} if self._brief else PRECEDENCE.get(on, ())
+        )
+        if evidence.fault not in preceding:
+            return False
+        return evidence.fault is not _REFUSED or self._refused >= _REPORTING.confirm
 
     def _begun(self, index: int, evidence: Evidence) -> None:
         """Have every part know of an alarm that has begun."""

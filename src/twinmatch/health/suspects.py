@@ -22,8 +22,8 @@ class Suspect:
     """Standard deviation of that size."""
     born: int
     """Sample at which it began, counted from the last gap."""
-    hypothesis: int
-    """Its place among the traces; −1: it has none."""
+    trace: int
+    """Place of its trace in the bank; −1: it has none."""
     returned: float = 0.0
     """Of the end of a change, the share of the way back that is gone."""
 
