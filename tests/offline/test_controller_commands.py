@@ -124,7 +124,7 @@ def test_an_experiment_is_proposed_in_words_as_json_and_as_a_figure(
     assert figure.read_text("utf-8").count("<svg") == 1
     undecided = ["--loop", str(law_file(tmp_path, proportional=150, integral=10))]
     assert main([*base, "--minutes", "1", "--for", "controller", *undecided]) == 0
-    assert "characters for controller are expected" in capsys.readouterr().out
+    assert "bits for controller are expected" in capsys.readouterr().out
     for options, words in {
         ("--for", "controller"): "--for controller and --loop FILE belong together",
         ("--for", "fault"): "a drive weaker than that is not confused with it",
