@@ -18,6 +18,7 @@ from twinmatch.cli.shared import (
     write_json,
 )
 from twinmatch.controllers import (
+    ControllerAnswer,
     ControllerDecision,
     ControllerError,
     ControllerQuestion,
@@ -113,26 +114,7 @@ def run(options: argparse.Namespace) -> int:
         ground = _last(opened)
         law = read_law(options.loop, ground.plant, ground.session.period)
         ran = None if options.came is None else _ran(opened, law, options)
-        if ran is None:
-            question = _asked(options, ground, law)
-            apart = None
-        else:
-            question = ran.question(ground.holding, options.draws)
-            apart = ran.ground.session
-        from_memory = _twins_from_memory(ground, apart, options)
-        # A judgement that started from the memory has its twins, too.
-        remembered_parameters = [twin.parameters for twin in from_memory]
-        new = [
-            twin
-            for twin in _members(opened)
-            if twin.parameters not in remembered_parameters
-        ]
-        members = [*new, *from_memory]
-        begun = _begun(members, options) if ran is None else ran.begun(members)
-        with Progress("trying") as progress:
-            answer = try_controller(begun, question, progress.advance)
-    notes = _missing(opened) + answer.notes + ground.unvisited(question.references)
-    answer = replace(answer, notes=notes)
+        answer = _answer(opened, ground, law, ran, options)
     comparison = None if ran is None else ran.comparison(answer, opened, options.rig)
     if comparison is None and options.memory is not None:
         answer = widened(
@@ -141,17 +123,13 @@ def run(options: argparse.Namespace) -> int:
         )
     decision, *details = answer_words(answer)
     print(f"{options.loop.name}: {decision}")
+    record = {}
     if comparison is not None:
-        details = [
-            comparison_words(comparison),
-            *_kept(ran, comparison, options),
-            *details,
-        ]
+        kept = _kept(ran, comparison, options)
+        details = [comparison_words(comparison), *kept, *details]
+        record = {"comparison": comparison_document(comparison)}
     for line in details:
         print(f"  {line}")
-    record = (
-        {} if comparison is None else {"comparison": comparison_document(comparison)}
-    )
     write_json(options.json, lambda: answer_document(answer) | record)
     if options.figure is not None:
         from twinmatch.showing.figures.controllers import draw_answer  # noqa: PLC0415
@@ -159,6 +137,37 @@ def run(options: argparse.Namespace) -> int:
 
         save(draw_answer(answer), options.figure)
     return EXITS[answer.decision]
+
+
+def _answer(
+    opened: Sequence[Ground],
+    ground: Ground,
+    law: Law,
+    ran: LawThatRan | None,
+    options: argparse.Namespace,
+) -> ControllerAnswer:
+    """What the twins of all sessions, and of the memory, say of a law: over the profile that was given or, if it ran,
+    over the course of that session."""
+    if ran is None:
+        question = _asked(options, ground, law)
+        apart = None
+    else:
+        question = ran.question(ground.holding, options.draws)
+        apart = ran.ground.session
+    from_memory = _twins_from_memory(ground, apart, options)
+    # A judgement that started from the memory has its twins, too.
+    remembered_parameters = [twin.parameters for twin in from_memory]
+    new = [
+        twin
+        for twin in _members(opened)
+        if twin.parameters not in remembered_parameters
+    ]
+    members = [*new, *from_memory]
+    begun = _begun(members, options) if ran is None else ran.begun(members)
+    with Progress("trying") as progress:
+        answer = try_controller(begun, question, progress.advance)
+    notes = _missing(opened) + answer.notes + ground.unvisited(question.references)
+    return replace(answer, notes=notes)
 
 
 def _twins_from_memory(

@@ -248,19 +248,7 @@ def _require_names(plant: type[PlantDefinition], base: type[PlantDefinition]) ->
     if not isinstance(plant.name, str) or not re.fullmatch(r"\w[\w-]*", plant.name):
         msg = f'plant {plant.name!r}: is not a valid name; use letters, digits and _, such as name="tank"'
         raise PlantError(msg)
-    own_names = {
-        name
-        for kind in base.__mro__
-        for name in (*vars(kind), *vars(kind).get("__annotations__", ()))
-    }
-    for name, declared in vars(plant).items():
-        if (
-            isinstance(declared, Declaration)
-            and name in own_names
-            and not isinstance(declared, Output | Drive)
-        ):
-            msg = f"plant {plant.name}: {name!r} is an attribute of every plant; rename this quantity"
-            raise PlantError(msg)
+    _require_no_name_of_plants(plant, base)
     for attribute in ("title", "followed", "surroundings"):
         require_text(f"{attribute} of {plant.name}", getattr(plant, attribute))
     if isinstance(plant.parts, str) or not all(
@@ -269,6 +257,32 @@ def _require_names(plant: type[PlantDefinition], base: type[PlantDefinition]) ->
         raise PlantError(
             f'plant {plant.name}: `parts` is {plant.parts!r}; write texts in a tuple: ("…",)'
         )
+    _require_methods(plant, base)
+    for name in plant.disturbances:
+        if name in _OF_TABLES:
+            msg = f"plant {plant.name}: a disturbance is called {name!r}, like a signal of every recording"
+            raise PlantError(f"{msg}; rename it")
+
+
+def _require_no_name_of_plants(
+    plant: type[PlantDefinition], base: type[PlantDefinition]
+) -> None:
+    """Refuse a quantity with the name of an attribute of every plant, but for an output or a drive."""
+    names_of_plants = {
+        name
+        for kind in base.__mro__
+        for name in (*vars(kind), *vars(kind).get("__annotations__", ()))
+    }
+    for name, declared in vars(plant).items():
+        is_quantity = isinstance(declared, Declaration)
+        is_signal = isinstance(declared, Output | Drive)
+        if is_quantity and not is_signal and name in names_of_plants:
+            msg = f"plant {plant.name}: {name!r} is an attribute of every plant; rename this quantity"
+            raise PlantError(msg)
+
+
+def _require_methods(plant: type[PlantDefinition], base: type[PlantDefinition]) -> None:
+    """Check that a plant is made as every plant is, and that its equations can be asked for."""
     if plant.__init__ is not base.__init__ or plant.__new__ is not base.__new__:
         raise PlantError(
             f"plant {plant.name}: has its own __init__ or __new__; declare what it needs"
@@ -281,10 +295,6 @@ def _require_names(plant: type[PlantDefinition], base: type[PlantDefinition]) ->
         raise PlantError(
             f"plant {plant.name}: `equations` takes other arguments; write def equations(self, parts)"
         )
-    for name in plant.disturbances:
-        if name in _OF_TABLES:
-            msg = f"plant {plant.name}: a disturbance is called {name!r}, like a signal of every recording"
-            raise PlantError(f"{msg}; rename it")
 
 
 def _require_names_of(

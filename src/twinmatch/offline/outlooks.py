@@ -20,7 +20,7 @@ from twinmatch.offline.judging import EVERY, Terms, Watch
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import read_bounded
-from twinmatch.signals import FloatArray, Sample, Window, stretches
+from twinmatch.signals import FloatArray, Sample, Signals, Window, stretches
 from twinmatch.twin import Twin, TwinSettings
 from twinmatch.twin.forecaster import Forecaster
 
@@ -269,45 +269,66 @@ def planned_ahead(
     """
     closed = settings.law is not None
     plant = settings.plant
-    signals: list[Output | Drive] = [
-        *(plant.outputs if closed else plant.drives).values()
-    ]
-    standing = sample.references if closed else sample.inputs
-    kind = _kind_ahead(settings)
+    planned = _Planned(
+        _kind_ahead(settings),
+        [*(plant.outputs if closed else plant.drives).values()],
+        sample.references if closed else sample.inputs,
+    )
     if rows is not None and reference is not None:
-        if len(standing) > 1:
-            raise ForecastError(
-                f"{reference}: the plant has {len(standing)} {kind}s, and this file has those of one; give "
-                f"--hold once for each of them, or --reference {RECORDED}"
-            )
-        words = f"{kind}s of {Path(reference).name}"
-        profiles = [
-            _checked(
-                reference,
-                lambda: SetPoints.planned(rows, standing[0], signal=signals[0]),
-            )
-        ]
+        words, profiles = planned.from_file(reference, rows)
     elif hold:
-        if len(hold) != len(standing):
-            raise ForecastError(
-                f"--hold: {len(hold)} of the plant's {len(standing)} {kind}s; give it once for each of them"
-            )
-        words = f"{_levels_text(hold, signals)} held"
-        profiles = []
-        for level, signal in zip(hold, signals, strict=False):
-            profiles.append(
-                _checked("--hold", partial(SetPoints.constant, level, signal))
-            )
+        words, profiles = planned.held(hold)
     else:
-        several = "s" if len(standing) > 1 else ""
-        words = f"its {kind}{several} of {_levels_text(standing, signals)} held"
-        profiles = [
-            _checked("--hold", partial(SetPoints.constant, level)) for level in standing
-        ]
+        words, profiles = planned.standing_held()
     notes = [note for profile in profiles for note in profile.notes]
     return Ahead(
         _beside_each_other(profiles, settings.period, size), words, tuple(notes)
     )
+
+
+class _Planned(NamedTuple):
+    """What is planned ahead of a sample: set-points, or inputs where the loop is not known."""
+
+    kind: str
+    """What they are called."""
+    signals: Sequence[Output | Drive]
+    """Of which outputs they are the set-points, or the drives."""
+    standing: Signals
+    """Their values at the sample."""
+
+    def from_file(self, reference: str, rows: list[str]) -> tuple[str, list[SetPoints]]:
+        """The profile that the lines of a file give, in words and as it is."""
+        if len(self.standing) > 1:
+            raise ForecastError(
+                f"{reference}: the plant has {len(self.standing)} {self.kind}s, and this file has those of one; give "
+                f"--hold once for each of them, or --reference {RECORDED}"
+            )
+        profile = _checked(
+            reference,
+            lambda: SetPoints.planned(rows, self.standing[0], signal=self.signals[0]),
+        )
+        return f"{self.kind}s of {Path(reference).name}", [profile]
+
+    def held(self, levels: Sequence[float]) -> tuple[str, list[SetPoints]]:
+        """Levels that were given, each held."""
+        if len(levels) != len(self.standing):
+            given = f"{len(levels)} of the plant's {len(self.standing)} {self.kind}s"
+            raise ForecastError(f"--hold: {given}; give it once for each of them")
+        profiles = [
+            _checked("--hold", partial(SetPoints.constant, level, signal))
+            for level, signal in zip(levels, self.signals, strict=False)
+        ]
+        return f"{_levels_text(levels, self.signals)} held", profiles
+
+    def standing_held(self) -> tuple[str, list[SetPoints]]:
+        """The values at the sample, held."""
+        several = "s" if len(self.standing) > 1 else ""
+        profiles = [
+            _checked("--hold", partial(SetPoints.constant, level))
+            for level in self.standing
+        ]
+        levels = _levels_text(self.standing, self.signals)
+        return f"its {self.kind}{several} of {levels} held", profiles
 
 
 def _checked(place: str, make: Callable[[], SetPoints]) -> SetPoints:
