@@ -22,8 +22,12 @@ from twinmatch.controllers import (
     goal_named,
     next_experiment,
 )
-from twinmatch.controllers.courses import maximal_sequence
-from twinmatch.controllers.experiment_search import ExperimentSearch
+from twinmatch.controllers.courses import maximal_sequence, staircases_within
+from twinmatch.controllers.experiment_search import (
+    EFFORT,
+    ExperimentSearch,
+    RatedCourse,
+)
 from twinmatch.controllers.learning_goals import ENOUGH
 from twinmatch.controllers.next_experiment import NEARLY
 from twinmatch.dynamics import (
@@ -305,3 +309,31 @@ def test_what_cannot_be_asked_is_said() -> None:
 
 def test_the_binary_sequence_is_the_maximal_one() -> None:
     np.testing.assert_array_equal(maximal_sequence(), max_len_seq(5)[0])
+
+
+def test_no_course_of_the_table_is_run_twice_on_all_twins(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rated: list[Staircase] = []
+    rate = ExperimentSearch.rated
+
+    def recorded(
+        search: ExperimentSearch, staircase: Staircase, *, leaders: bool = False
+    ) -> RatedCourse | None:
+        if not leaders:
+            rated.append(staircase)
+        return rate(search, staircase, leaders=leaders)
+
+    monkeypatch.setattr(ExperimentSearch, "rated", recorded)
+    asked = terms(1e3)
+    twins = [lab(known_to(0.2)), lab(known_to(0.1), Ua=0.05)]
+    next_experiment(twins, goal_named("parameters", twins, asked), asked)
+    table = set(staircases_within(asked))
+    of_table = [staircase for staircase in rated if staircase in table]
+    assert len(of_table) >= EFFORT.few
+    assert len(of_table) == len(set(of_table))
+
+
+def test_the_root_of_what_is_open_is_computed_once() -> None:
+    contender = Contender(lab(known_to(0.2)))
+    assert contender.root is contender.root

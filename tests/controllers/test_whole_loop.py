@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -352,7 +353,7 @@ def test_the_gain_margins_are_those_that_a_search_finds() -> None:
                     acting = loop.plant.B.copy()
                     acting[:, channel] *= end
                     eigenvalues = np.linalg.eigvals(
-                        loop._replace(plant=loop.plant._replace(B=acting)).matrix
+                        replace(loop, plant=loop.plant._replace(B=acting)).matrix
                     )
                     lost.add(
                         round(
@@ -433,3 +434,9 @@ def test_a_margin_without_a_value_is_one_error() -> None:
         UndefinedError, match="the sensitivity of the loop has no value"
     ):
         loop.sensitivity()
+
+
+def test_a_loop_computes_its_matrix_once() -> None:
+    """Its margins look at it at hundreds of frequencies."""
+    loop = WholeLoop(linearised(PLANT, POINT, 2.0), TWO)
+    assert loop.matrix is loop.matrix

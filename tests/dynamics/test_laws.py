@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -325,3 +326,13 @@ def test_the_places_of_a_linear_laws_entries_are_those_in_its_code() -> None:
         for i, j in np.ndindex(matrix.shape)
     }
     assert {name: law.code[place] for name, place in law.GAINS.items()} == entries
+
+
+@pytest.mark.parametrize("law", [PID, TWO, LINEAR], ids=["PID", "levels", "linear"])
+def test_a_law_writes_its_code_once_and_another_law_has_its_own(law: Law) -> None:
+    """Searches run thousands of courses with one law."""
+    assert law.code is law.code
+    slower = law.at_period(2.0) if law is not LINEAR else replace(LINEAR, period=2.0)
+    assert slower.code[1] == 2.0
+    assert law.code[1] == law.period
+    assert (law.code[2:] == slower.code[2:]).all()

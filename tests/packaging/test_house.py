@@ -109,6 +109,8 @@ LATER = (
     "twinmatch.importing.tables",
 )
 """What the start of a command that judges, or of the node that does, must not import: few runs need it."""
+OF_FILES = ("msgspec", "statistics", "difflib")
+"""What reads candidates of a file, mends a damaged session, and guesses what a mistyped name should be."""
 OF_A_MEMORY = ("twinmatch.memory", "twinmatch.controllers", "sqlite3")
 """What holds earlier sessions, and what was learned from them of laws."""
 DRAWING = ("twinmatch.showing.page", "twinmatch.showing.figures.elements")
@@ -156,6 +158,10 @@ def test_a_start_imports_nothing_that_few_runs_need(module: str) -> None:
     if module.startswith("twinmatch.nodes"):
         pytest.importorskip("rclpy")
     assert imported_with(module, LATER) == "[]\n"
+
+
+def test_a_replay_imports_no_reader_of_files_that_it_is_not_given() -> None:
+    assert imported_with("twinmatch.cli.replay", OF_FILES) == "[]\n"
 
 
 def test_a_report_without_a_memory_imports_none() -> None:

@@ -301,3 +301,20 @@ def test_no_bands_are_compared_once_nobody_leads(samples: list[Sample]) -> None:
     forecaster.enter([])
     assert forecaster.check_bands(60) is None
     assert not forecaster.standings.alone
+
+
+def test_the_arx_model_from_which_is_forecast_is_fitted_once_at_a_sample(
+    samples: list[Sample],
+) -> None:
+    """A backtest asks for it at samples at which the forecaster has used it."""
+    forecaster = Forecaster(GAINS)
+    forecaster.enter(candidates_of(truth=TRUTH))
+    every = round(forecaster.settings.every / forecaster.period)
+    for sample in samples[: 10 * every + 1]:
+        forecaster.push(sample)
+    at_departure = forecaster.arx
+    assert samples[10 * every].index % every == 0
+    assert forecaster.arx is at_departure
+    following = samples[10 * every + 1]
+    forecaster.push(following)
+    assert forecaster.arx.standing[0] == following.output

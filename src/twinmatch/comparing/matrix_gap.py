@@ -18,7 +18,6 @@ with exact coefficients.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -27,6 +26,7 @@ from numpy.typing import NDArray
 from twinmatch.comparing.polynomials import DiscriminationError
 from twinmatch.comparing.state_space import ON_AXIS, Matrix, StateSpace, half_plane
 from twinmatch.comparing.undefined import having_value
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 MAX_LEVELS = 30
@@ -48,8 +48,7 @@ PER_DECADE = 8
 NEIGHBOURS = np.array([-1.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True, slots=True)
-class _Polishing:
+class _Polishing(Rule):
     """Parabolas through three points around the top of a peak, each closer together than the one
     before."""
 

@@ -21,13 +21,13 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinmatch.errors import TwinmatchError
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 
@@ -280,8 +280,7 @@ SUSPECT = 1e-6
 """Roots of double factors are known to the square root of rounding only; so are the values there."""
 
 
-@dataclass(frozen=True, slots=True)
-class _CommonFactor:
+class _CommonFactor(Rule):
     """When polynomials have a common factor to within rounding: where a linear system is nearly singular, one
     is tried and refined, and accepted if hardly more than the rounding of the coefficients is left."""
 

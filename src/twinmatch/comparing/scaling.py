@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Final, NamedTuple, cast
 
 import numpy as np
@@ -28,14 +27,14 @@ from twinmatch.comparing.matrix_gap import (
 )
 from twinmatch.comparing.state_space import StateSpace, half_plane
 from twinmatch.comparing.undefined import having_value
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 RATIOS = np.logspace(-3, 3, 19)
 """Units of the outputs against those of the inputs that are tried first, relative to the given ones."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Climbing:
+class _Climbing(Rule):
     """A random search over the logarithms of all units: a step that helped is followed by a longer one, one
     that did not by a shorter one, in such proportion that the size stays where one step in five helps."""
 

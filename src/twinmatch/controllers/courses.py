@@ -15,6 +15,7 @@ from twinmatch.controllers.members import Holding
 from twinmatch.controllers.responses import counted_range
 from twinmatch.dynamics import Plant
 from twinmatch.dynamics.pace import plant_scale
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 MIN_COURSE: Final = 30
@@ -27,8 +28,7 @@ _PLAIN: Final = 0.1
 """Size of a plain step, as a share of the range."""
 
 
-@dataclass(frozen=True, slots=True)
-class _CourseLength:
+class _CourseLength(Rule):
     """Length of an experiment: six time constants, if these are not too many samples."""
 
     usual: int = 600
@@ -130,11 +130,13 @@ class Staircase(NamedTuple):
         return rows
 
     def moved(self, by: float) -> Iterator[Staircase]:
-        """The same with one level or time moved by so much, up or down."""
+        """The courses with one level or time moved by so much, up or down; a level at an end of its range only
+        moves inwards."""
         for k, movement in product(range(len(self.shares)), (by, -by)):
             shares = list(self.shares)
             shares[k] = min(max(shares[k] + movement, 0.0), 1.0)
-            yield self._replace(shares=tuple(shares))
+            if shares[k] != self.shares[k]:
+                yield self._replace(shares=tuple(shares))
             ends = list(self.ends)
             if k < len(ends) - 1:
                 ends[k] += movement

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import permutations
 from typing import Final, NamedTuple
 
@@ -32,6 +32,7 @@ from twinmatch.dynamics import (
     simulate_closed_loop,
 )
 from twinmatch.dynamics.pids import as_linear
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 _BAND: Final = 1.645
@@ -40,8 +41,7 @@ _DIFFERENCE: Final = 0.01
 """Relative change of a drive's share that gives the derivative by it."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Effort:
+class _Effort(Rule):
     """How much is tried, so that an operator waits for seconds: the whole table with the leaders, then only
     the best few with all twins, then the best of these with small movements, each half a step of the table or
     less."""
@@ -109,6 +109,19 @@ class RatedCourse(NamedTuple):
     staircase: Staircase
 
 
+class _Start(NamedTuple):
+    """How a contender begins every course."""
+
+    states: FloatArray
+    """Shape (n,)."""
+    inputs: FloatArray
+    """Those that act, shape (m,)."""
+    law: Law | None = None
+    """The law, on drives as weak as the contender's; None: the commands are given."""
+    controller: FloatArray | None = None
+    """State of the law."""
+
+
 class ExperimentSearch:
     """Runs courses on all twins of a family, and rates them by a goal."""
 
@@ -126,10 +139,11 @@ class ExperimentSearch:
             law = taken_by(plant, law if isinstance(law, TwoLevel) else as_linear(law))
         self.law = law
         self.starts = {
-            id(contender.twin): _start(contender, terms)
-            for contender in (*goal.contenders, *self.family)
+            id(contender): _start(contender, terms, law)
+            for contender in (*goal.contenders, *self.others, *self.family)
         }
-        self.base = terms.before if law is not None else self.starts[id(members[0])][1]
+        leader_start = self.starts[id(self.family[0])]
+        self.base = terms.before if law is not None else leader_start.inputs
         self.marks = np.unique(
             np.linspace(1, terms.size, EFFORT.marks).round().astype(int)
         )
@@ -196,7 +210,7 @@ class ExperimentSearch:
         twin = contender.twin
         model = twin.parameters.model
         share = contender.share
-        states, _ = self.starts[id(twin)]
+        states = self.starts[id(contender)].states
         steady = np.tile(model.disturbance_row(twin.disturbances), (len(rows), 1))
         sent = self._commands(contender, rows, steady) if commands is None else commands
         free = twin.free if twin.covariance is not None else ()
@@ -232,25 +246,20 @@ class ExperimentSearch:
         self, contender: Contender, rows: FloatArray, steady: FloatArray
     ) -> FloatArray:
         """The commands over a course, shape (N, m): those of the law; without one the course itself."""
-        if self.law is None:
+        start = self.starts[id(contender)]
+        if start.law is None:
             return rows
-        twin = contender.twin
-        share = contender.share
-        states, inputs = self.starts[id(twin)]
-        model = twin.parameters.model
-        law = self.law if share == 1.0 else _weakened(self.law, share, model.rest)
-        outputs = model.kernels.outputs_at(
-            twin.parameters.vector, states, inputs, steady[0]
-        )[0]
+        parameters = contender.twin.parameters
         run = simulate_closed_loop(
-            twin.parameters,
+            parameters,
             rows,
-            states=states,
-            law=law,
-            controller=state_holding(law, self.terms.before, outputs, inputs),
+            states=start.states,
+            law=start.law,
+            controller=start.controller,
             disturbances=steady,
         )
-        return np.asarray(model.rest + (run.inputs - model.rest) / share)
+        rest = parameters.model.rest
+        return np.asarray(rest + (run.inputs - rest) / contender.share)
 
     def _bits(
         self,
@@ -337,7 +346,23 @@ def bits_of(whole: FloatArray, known: int) -> FloatArray:
     )
 
 
-def _start(
+def _start(contender: Contender, terms: ExperimentTerms, law: Law | None) -> _Start:
+    """Where a contender begins, with the law in the state that holds it there."""
+    states, inputs = _held_at(contender, terms)
+    if law is None:
+        return _Start(states, inputs)
+    parameters = contender.twin.parameters
+    model = parameters.model
+    if contender.share != 1.0:
+        law = _weakened(law, contender.share, model.rest)
+    row = model.disturbance_row(contender.twin.disturbances)
+    outputs, _ = model.kernels.outputs_at(parameters.vector, states, inputs, row)
+    return _Start(
+        states, inputs, law, state_holding(law, terms.before, outputs, inputs)
+    )
+
+
+def _held_at(
     contender: Contender, terms: ExperimentTerms
 ) -> tuple[FloatArray, FloatArray]:
     """States and acting inputs at the first sample: the twin's own, or where it is held."""

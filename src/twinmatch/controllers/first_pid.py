@@ -20,6 +20,7 @@ from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.controllers.whole_loop import WholeLoop
 from twinmatch.dynamics import Linear, PidGains, Plant, PlantError
 from twinmatch.dynamics.pids import as_linear
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 MAX_SENSITIVITY: Final = 1.6
@@ -28,8 +29,7 @@ _DRAWS: Final = 8
 """Draws of each twin beside itself."""
 
 
-@dataclass(frozen=True, slots=True)
-class _SlowerLoops:
+class _SlowerLoops(Rule):
     """Loops that are tried, each slower than the one before."""
 
     factor: float = 1.4

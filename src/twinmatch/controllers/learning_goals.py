@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from functools import cached_property
+from typing import Any, Final
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from twinmatch.controllers.courses import ExperimentTerms
 from twinmatch.controllers.members import TriedTwin
 from twinmatch.controllers.stability import UNBOUNDED, MemberStability
 from twinmatch.dynamics import PlantError
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 LEAD: Final = 5.0
@@ -26,8 +28,7 @@ ENOUGH: Final = (
 """Expected bits after which nine of ten runs decide: noise moves a lead of n nats by √(2 n)."""
 
 
-@dataclass(frozen=True, slots=True)
-class _ConfusedFaults:
+class _ConfusedFaults(Rule):
     """A weak drive and grown losses that leave one mark.
 
     Where losses that have grown to their most need less than the drive lacks, the drive is as weak as they
@@ -49,13 +50,14 @@ class _ConfusedFaults:
 FAULTS: Final = _ConfusedFaults()
 
 
-class Contender(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Contender:
     """A twin that may be the plant, with drives that do a share of what they are given."""
 
     twin: TriedTwin
     share: float = 1.0
 
-    @property
+    @cached_property
     def root(self) -> FloatArray:
         """A root of the covariance of what is open, shape (n, n)."""
         if self.twin.covariance is None:

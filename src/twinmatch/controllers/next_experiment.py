@@ -81,7 +81,10 @@ def next_experiment(
         """A cost that is least for the course that brings what is to be reached soonest."""
         return _delay(course.curve, reach)
 
+    tried_staircases = {course.staircase for course in tried}
     for early in sorted(ranked, key=delay)[: 2 * EFFORT.few]:
+        if early.staircase in tried_staircases:
+            continue
         course = search.rated(early.staircase)
         if course is not None:
             tried.append(course)

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from twinmatch.controllers.responses import state_holding
 from twinmatch.dynamics import LinearLaw, TwoLevel, commands_of
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 _NEAR: Final = 0.01
 """Distance up to which a command is reproduced, as a share of its range: recordings are rounded."""
 
 
-@dataclass(frozen=True, slots=True)
-class _FirstSamples:
+class _FirstSamples(Rule):
     """How a law's first state is estimated.
 
     As recordings are rounded, several samples count for each of the law's states, and directions that

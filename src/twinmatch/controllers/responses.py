@@ -23,6 +23,7 @@ from twinmatch.dynamics import (
     simulate_closed_loop,
 )
 from twinmatch.dynamics.laws import LOW
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 SETTLED: Final = 0.05
@@ -31,8 +32,7 @@ LOAD: Final = 0.1
 """Load at an input, as a share of the drive's range."""
 
 
-@dataclass(frozen=True, slots=True)
-class _SafeConduct:
+class _SafeConduct(Rule):
     """What a safe course does, beside staying in its range.
 
     Its outputs come to rest, as far as that can be seen in their noise, and its drives are within their

@@ -22,6 +22,7 @@ from twinmatch.controllers.whole_loop import WholeLoop
 from twinmatch.dynamics import SKIPPED, Experiment, Linear, PidGains, PlantError, read
 from twinmatch.dynamics.pids import as_linear
 from twinmatch.errors import TwinmatchError
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray, Window
 
 Aim = Literal["load", "tracking", "quiet"]
@@ -31,8 +32,7 @@ STEP: Final = 0.1
 """Step of the set-point, as a share of its range."""
 
 
-@dataclass(frozen=True, slots=True)
-class _RetuningLimits:
+class _RetuningLimits(Rule):
     """When a search for gains ends, and what counts as better: three times the tolerance of the limits."""
 
     least_gain: float = 0.03

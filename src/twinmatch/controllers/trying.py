@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,14 +16,14 @@ from twinmatch.controllers.answer import (
 )
 from twinmatch.controllers.members import Holding, TriedTwin
 from twinmatch.dynamics import Law
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 DRAWS: Final = 80
 """Draws of the parameters over all twins, so that an operator waits for two seconds."""
 
 
-@dataclass(frozen=True, slots=True)
-class _TrialBands:
+class _TrialBands(Rule):
     """The bands of a law on trial, wider than those of nine draws in ten: it is taken back for what hardly
     any sound law does. Outputs that still move under the law that runs would not be told from its effects."""
 

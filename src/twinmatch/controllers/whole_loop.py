@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from twinmatch.comparing import having_value
 from twinmatch.dynamics import Linear, LinearLaw, largest_eigenvalue, loop_matrix
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 _AROUND: Final = np.linspace(-3.0, 3.0, 25)
@@ -32,8 +34,7 @@ LEAST_GAIN: Final = 1e-6
 _Response = Callable[[float], complex]
 
 
-@dataclass(frozen=True, slots=True)
-class _FrequencyGrid:
+class _FrequencyGrid(Rule):
     """The grid on which crossings are looked for: from a period of two months at 1 s on, 60 frequencies in a
     decade."""
 
@@ -68,13 +69,14 @@ class ChannelMargins(NamedTuple):
 UNSTABLE: Final = ChannelMargins(1.0, 1.0, 0.0, math.inf)
 
 
-class WholeLoop(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class WholeLoop:
     """A plant, linearised, and the law around it, both with one sample time."""
 
     plant: Linear
     law: LinearLaw
 
-    @property
+    @cached_property
     def matrix(self) -> FloatArray:
         """How the states of plant and law deviate one sample later, shape (n + q, n + q)."""
         return loop_matrix(self.plant, self.law)
@@ -89,11 +91,11 @@ class WholeLoop(NamedTuple):
         """Whether small deviations decay."""
         return self.eigenvalue < 1.0
 
-    @property
+    @cached_property
     def _commands(self) -> FloatArray:
         return np.hstack([self.law.D @ self.plant.C, self.law.C])
 
-    @property
+    @cached_property
     def _load(self) -> FloatArray:
         """How a load at the plant's inputs moves the states."""
         plant = self.plant

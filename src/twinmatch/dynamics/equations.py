@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import difflib
 import math
 import re
 import threading
@@ -204,6 +203,8 @@ def written_equations(plant: PlantDefinition, parts: frozenset[str]) -> Equation
 
 def _mistake(plant: PlantDefinition, error: BaseException) -> str:
     if isinstance(error, AttributeError) and error.obj is plant:
+        import difflib  # noqa: PLC0415
+
         near = difflib.get_close_matches(error.name or "", plant.declarations, n=1)
         hint = (
             f"did you mean {near[0]}?"

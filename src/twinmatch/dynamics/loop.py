@@ -9,6 +9,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from twinmatch.signals import FloatArray, Window, finite
 _MAX_AMPLIFICATION = 1e3
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Law(ABC):
     """A law as a plant file declares it: q states, m commands from p readings and r set-points."""
 
@@ -76,7 +77,7 @@ class Law(ABC):
     @property
     @abstractmethod
     def code(self) -> LawCode:
-        """The same numbers for compiled code."""
+        """The same numbers for compiled code, written once; not to be changed."""
 
     @abstractmethod
     def state(self, window: Window) -> FloatArray:
@@ -97,7 +98,7 @@ class Law(ABC):
         """Whether a command is on a limit."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class PidGains(Law):
     """Gains and limits of the controller, in units of the plant's input u and output y.
 
@@ -139,7 +140,7 @@ class PidGains(Law):
                 f"{self.high} in increasing order"
             )
 
-    @property
+    @cached_property
     def code(self) -> LawCode:
         """The same numbers for compiled code."""
         head = [PID, self.period, 1, self.low, self.high]
@@ -266,7 +267,7 @@ def _finite(**signals: ArrayLike) -> list[FloatArray]:
     return rows
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class TwoLevel(Law):
     """Two commands with hysteresis and dwell times: on where the reading falls below r − `below`, off where
     it rises above r + `above`.
@@ -322,7 +323,7 @@ class TwoLevel(Law):
                 f"two-level law: most_on is {self.most_on} s; give more than least_on"
             )
 
-    @property
+    @cached_property
     def code(self) -> LawCode:
         """The same numbers for compiled code."""
         head = [TWO_LEVEL, self.period, 1]
@@ -355,7 +356,7 @@ class TwoLevel(Law):
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class LinearLaw(Law):
     """u = clip(C·x + D·y + E·r + offset), then x ← A·x + B·y + F·r + G·u + shift, with q states x.
 
@@ -482,7 +483,7 @@ class LinearLaw(Law):
         """Number of set-points r."""
         return int(self.E.shape[1])
 
-    @property
+    @cached_property
     def code(self) -> LawCode:
         """The same numbers for compiled code."""
         m = self.n_inputs

@@ -13,6 +13,7 @@ import numpy as np
 from twinmatch.compiled import compiled
 from twinmatch.dynamics import Parameters, box_step
 from twinmatch.fitting.problem import LASTING, Evaluation, Problem, ended_on_bounds
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 _ROUNDING = 1e-13
@@ -28,8 +29,7 @@ QUANTILE: Final = 3.841458820694124
 """95 % quantile of χ² with one degree of freedom."""
 
 
-@dataclass(frozen=True, slots=True)
-class _ProfileSearch:
+class _ProfileSearch(Rule):
     """How an end of an interval is found. Newton's iteration takes a few steps, each shortened a few times
     where it leads too far; where a valley folds back, the end is bracketed instead, with refits of all other
     parameters. An end that is off by 2 % of the rise is off by 1 % of the half interval, as the rise is

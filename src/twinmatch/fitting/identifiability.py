@@ -29,6 +29,7 @@ from twinmatch.fitting.estimation import (
     uncertainty,
 )
 from twinmatch.fitting.problem import Problem
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray, Window
 
 _WIDEST = 2.0
@@ -40,8 +41,7 @@ _TIGHTER = 3.0
 """Factor by which a ratio of two parameters must be known better than each alone to be reported."""
 
 
-@dataclass(frozen=True, slots=True)
-class _StepSuggestion:
+class _StepSuggestion(Rule):
     """Which step of the set-point is suggested: the smallest of a few over the declared range that is nearly
     as good as the best. The next window is this one's last regime and the one after the step."""
 

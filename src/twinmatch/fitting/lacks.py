@@ -33,6 +33,7 @@ from twinmatch.dynamics.equations import outputs_of, written_equations
 from twinmatch.dynamics.pace import time_constant
 from twinmatch.errors import TwinmatchError
 from twinmatch.fitting.estimation import Effort
+from twinmatch.settings import Rule
 
 LEFT: Final = 3.0
 """Mean squared weighted residual above which a driven twin may lack something."""
@@ -43,8 +44,7 @@ _NAMES: Final = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class _Justification:
+class _Justification(Rule):
     """What an effect has to explain to be named: half of what the plant leaves, and more than it costs by six
     nats: 1 in 400."""
 

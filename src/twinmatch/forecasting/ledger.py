@@ -19,20 +19,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from copy import copy
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from twinmatch.comparing import BASELINES
 from twinmatch.comparing.forecast_score import ONE_SIDED
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray
 
 _LN10: Final = float(np.log(10.0))
 
 
-@dataclass(frozen=True, slots=True)
-class _FewForecasts:
+class _FewForecasts(Rule):
     """How candidates with few forecasts are judged.
 
     Their first errors count beside the noise of the sensor, as if three forecasts had erred by it. A few

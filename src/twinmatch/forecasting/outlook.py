@@ -28,11 +28,11 @@ from twinmatch.dynamics.laws import LOW
 from twinmatch.dynamics.pace import usual_scale
 from twinmatch.fitting.arx import Visited
 from twinmatch.forecasting.forecast import CONFIDENCE, Band, Forecast, ForecastError
+from twinmatch.settings import Rule
 from twinmatch.signals import FloatArray, Sample, Signals
 
 
-@dataclass(frozen=True, slots=True)
-class _FilterSettings:
+class _FilterSettings(Rule):
     """How far a twin's states are believed.
 
     In units of the states' spans, so that it suits a plant of any kind. On the rig a state drifts by 0.03 K

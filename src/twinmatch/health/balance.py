@@ -113,6 +113,7 @@ class Balance:
         self.parameters = parameters
         self.noise = parameters.model.plant.output.noise
         """Standard deviation of a reading's noise: the unit of every limit."""
+        self._drive_at_rest = float(parameters.model.plant.drive.rest)
         self._steps = parameters.steps(period)
         self._sample_time = period
         self._pace = period / slow_scale(parameters.model.plant, period)
@@ -263,7 +264,7 @@ class Balance:
             float(sample.output),
             self._states,
             float(sample.input),
-            float(model.plant.drive.rest),
+            self._drive_at_rest,
             row,
             self._sample_time,
             self._steps,

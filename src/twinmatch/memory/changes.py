@@ -26,6 +26,7 @@ import numpy as np
 
 from twinmatch.dynamics import Model
 from twinmatch.memory.lesson import Lesson, in_order
+from twinmatch.settings import Rule
 from twinmatch.signals import MEDIAN_TO_SIGMA, FloatArray
 
 MIN_SIDE: Final = 2
@@ -42,8 +43,7 @@ _DAY: Final = 86_400e9
 _NINETY: Final = 1.645
 
 
-@dataclass(frozen=True, slots=True)
-class _RobustFit:
+class _RobustFit(Rule):
     """Levels and sizes under errors with heavy tails, so that one odd session pulls nothing: Student's
     distribution with five degrees of freedom, by least squares that are weighted again and again."""
 
@@ -59,8 +59,7 @@ class _RobustFit:
 _ROBUST: Final = _RobustFit()
 
 
-@dataclass(frozen=True, slots=True)
-class _NamedFrom:
+class _NamedFrom(Rule):
     """From which evidence on, in nats beyond what it costs to say it, a change is reported. Few plants change
     evenly, so that a trend has to lead. Moments of a step that are two nats behind the best are seven times
     less likely, and not worth considering."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from twinmatch.comparing import Candidate
 from twinmatch.dynamics import Model, Plant, PlantError
 from twinmatch.memory.lesson import Lesson, current_lessons, in_order
+from twinmatch.settings import Rule
 from twinmatch.signals import MEDIAN_TO_SIGMA, FloatArray
 
 CENTRE: Final = "remembered"
@@ -21,8 +22,7 @@ MAX_TWINS: Final = 4
 """Twins of single sessions that forecast from the first sample on; each costs time at every forecast."""
 
 
-@dataclass(frozen=True, slots=True)
-class _BetweenSessions:
+class _BetweenSessions(Rule):
     """The spread between sessions of one plant. Before any was seen, 15 % are expected; that counts as one
     session, so that few sessions do not look more alike than they are."""
 

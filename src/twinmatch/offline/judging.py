@@ -27,7 +27,6 @@ from twinmatch.kept import cache_folder
 from twinmatch.offline.estimates import EstimatedCourse, courses_of
 from twinmatch.offline.processes import held_interrupts
 from twinmatch.offline.summary import SessionSummary, summarise
-from twinmatch.parameters.candidates import parse_candidates, read_candidates
 from twinmatch.parameters.twin import (
     at_period,
     outputs_named,
@@ -89,11 +88,17 @@ def terms_from_files(
         settings,
         read_through=settings.read_through or _recorded_read_through(session, settings),
     )
-    return Terms(
-        settings,
-        tuple(read_candidates(candidates)) if candidates else (),
-        source=source,
-    )
+    return Terms(settings, _candidates_of(candidates), source=source)
+
+
+def _candidates_of(file: Path | None) -> tuple[Candidate, ...]:
+    """The candidates of a file; none without one."""
+    if file is None:
+        return ()
+    # what reads such files is loaded only for those who give one
+    from twinmatch.parameters.candidates import read_candidates  # noqa: PLC0415
+
+    return tuple(read_candidates(file))
 
 
 def _recorded_read_through(session: Session, settings: TwinSettings) -> tuple[str, ...]:
@@ -147,7 +152,7 @@ def recorded_terms(
     matching, _ = _recorded_settings(session, f"{prefix}matcher")
     settings, candidates_file = _recorded_settings(session, f"{prefix}discriminator")
     initial_candidates = (
-        tuple(read_candidates(candidates))
+        _candidates_of(candidates)
         if candidates
         else _recorded_candidates(session, candidates_file)
     )
@@ -188,6 +193,8 @@ def _recorded_candidates(session: Session, path: str) -> tuple[Candidate, ...]:
             f"session {session.name}: its initial candidates, from {path}, were not recorded; "
             "give them with --candidates"
         )
+    from twinmatch.parameters.candidates import parse_candidates  # noqa: PLC0415
+
     return tuple(parse_candidates(text, f"session {session.name}: candidates"))
 
 

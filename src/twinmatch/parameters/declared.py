@@ -8,7 +8,6 @@ here needs ROS, so that an offline replay reads the same files.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -169,6 +168,8 @@ def check(
                 "(docs/subscribing.md); leave it out"
             )
         if name not in setting_of and not name.startswith(BUILT_IN):
+            import difflib  # noqa: PLC0415
+
             near = difflib.get_close_matches(name, setting_of, n=1)
             hint = (
                 f"did you mean {near[0]}?"

@@ -13,7 +13,6 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from itertools import pairwise
-from statistics import median
 from typing import Final
 
 from twinmatch.sessions.cdr import current, decode_sample, decoded
@@ -38,6 +37,13 @@ class Neighbours(Rule):
 
 _NEIGHBOURS: Final = Neighbours()
 _DECODED: Final = ("cdr", "ros2msg")
+
+
+def _median(values: Iterable[float]) -> float:
+    """The median; what computes it is loaded only where a file is damaged."""
+    from statistics import median  # noqa: PLC0415
+
+    return median(values)
 
 
 def mended(
@@ -89,7 +95,7 @@ def _with_times(row: Sequence[Message]) -> list[Message]:
         if message.is_sound or not _is_far(times, number):
             result.append(message)
             continue
-        time_before = result[-1].log_time if result else int(median(times))
+        time_before = result[-1].log_time if result else int(_median(times))
         result.append(message._replace(log_time=time_before, publish_time=time_before))
     return result
 
@@ -102,8 +108,8 @@ def _around(number: int) -> slice:
 
 def _is_far(times: Sequence[int], number: int) -> bool:
     near = times[_around(number)]
-    middle = median(near)
-    spread = median(abs(time - middle) for time in near)
+    middle = _median(near)
+    spread = _median(abs(time - middle) for time in near)
     return abs(times[number] - middle) > _NEIGHBOURS.far * spread + NANOSECONDS
 
 
@@ -173,7 +179,7 @@ def _in_line(samples: Mapping[int, Sample], sound: Set[int]) -> set[int]:
             likely = []
             last = samples[place].index
         elif len(places) == 1 or (
-            abs(begins[number] - median(begins[near])) < period / 2
+            abs(begins[number] - _median(begins[near])) < period / 2
             and shapes[number] == max(shapes[near], key=shapes[near].count)
         ):
             likely.append(place)
@@ -205,5 +211,5 @@ def _usual_period(samples: Sequence[Sample]) -> float:
         for before, after in pairwise(samples)
         if after.index > before.index
     ]
-    period = median(steps) if steps else 0.0
+    period = _median(steps) if steps else 0.0
     return period if period > 0 else float(NANOSECONDS)

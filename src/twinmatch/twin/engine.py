@@ -408,7 +408,7 @@ class Discriminator:
         In place of a reading that a trusted twin has not believed for a while it takes what was estimated at
         the sample before.
         """
-        if self._watched is None:
+        if not self.settings.read_through or self._watched is None:
             return None
         taken = self._law_on_estimates.taken_after(
             self._watched, self.monitor.estimates

@@ -410,6 +410,11 @@ class Forecaster:
     @property
     def arx(self) -> ArxForecast:
         """The ARX model at the newest sample."""
+        departure = (
+            self._departures.get(self._recent[-1].index) if self._recent else None
+        )
+        if departure is not None:
+            return departure.arx
         self._catch_up()
         return self._arx.departure(self._controller)
 

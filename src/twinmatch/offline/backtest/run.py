@@ -118,8 +118,8 @@ def _around(
     """The bands' means with the quantiles of the residuals around them, which hold that share."""
     tails = ((1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0)
     around = []
-    for band, column in zip(bands, residuals.T, strict=True):
-        below, above = np.quantile(column, tails)
+    all_below, all_above = np.quantile(residuals, tails, axis=0)
+    for band, below, above in zip(bands, all_below, all_above, strict=True):
         around.append(Band(band.mean, band.mean + below, band.mean + above))
     return tuple(around)
 
