@@ -145,7 +145,9 @@ def propose(
     drive_from_centre = [limit - centre for limit in drive_range]
     output_range = _output_range(reading, drive_from_centre, model)
     return Proposal(
-        output=Signal(output_name, output_unit, *output_range),
+        output=Signal(
+            output_name, output_unit, *output_range, turn=signals.turn("output")
+        ),
         input=Signal(input_name, signals.unit("input"), *drive_range),
         disturbances=tuple(disturbances.values()),
         noise=noise,

@@ -21,6 +21,7 @@ from twinmatch.importing.stacked import SeriesTable
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times, read_times, unit_in
 from twinmatch.sampling.sources import SignalMap, SignalSource, source_of
+from twinmatch.sampling.turns import shown_turn
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.files import RecordingError
 from twinmatch.settings import Rule
@@ -178,6 +179,28 @@ def columns_of(table: Table) -> list[Column]:
             *(_series(table, title) for title in table.places_of),
         ]
     return _with_drives_of_loops([_column(table, title) for title in table.columns])
+
+
+def notes_on_angles(columns: Sequence[Column], table: Table) -> list[str]:
+    """A note on each column that begins again after a turn."""
+    notes = []
+    for column in columns:
+        if column.kind != "numbers":
+            continue
+        values = _in_order(table, column.title)
+        if turn := shown_turn(values, column.unit, column.title):
+            notes.append(
+                f"{column.title} begins again after {turn:.6g}, as an angle does: turn={turn:.6g} in the plant "
+                "file's Output, where new-plant writes it, or behind the column in a map, has its turns counted."
+            )
+    return notes
+
+
+def _in_order(table: Table, title: str) -> FloatArray:
+    """The values of a column or series in the order of their times, shape (N,)."""
+    if isinstance(table, SeriesTable):
+        return table.own_values(title)
+    return table.values(title)
 
 
 def _with_drives_of_loops(columns: Sequence[Column]) -> list[Column]:
