@@ -84,6 +84,10 @@ _ROOM: Final = re.compile(
 _OUTSIDE: Final = re.compile(
     r"amb|outside|outdoor|\boat\b|environment|t_?inf|surround|weather", re.IGNORECASE
 )
+_INCOMING: Final = re.compile(
+    r"inflow|influent|inlet|intake|zulauf|(?:\b|_)feed", re.IGNORECASE
+)
+"""Names of what comes into a plant: it acts on it, and is an output only where nothing else is left."""
 _TIME: Final = re.compile(
     r"^t$|^tout$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed|^zeit",
     re.IGNORECASE,
@@ -632,7 +636,10 @@ def _paired(
 def _add_inputs(
     columns: Sequence[Column], chosen: dict[str, Column], table: Table
 ) -> None:
-    """Add what is named like an input, or switched, if the output moves with it beside the first input."""
+    """Add what is an input by its name or its values, if the output moves with it beside the first input.
+
+    What reads back another input is none.
+    """
     if not {"output", "input"} <= chosen.keys():
         return
     output = chosen["output"]
@@ -641,8 +648,9 @@ def _add_inputs(
         c
         for c in columns
         if c not in chosen.values()
-        and (c.kind == "on or off" or (c.stepped and _INPUT.search(c.short_name)))
+        and _is_like_input(c, chosen["input"])
         and not any(share_a_word(c.short_name, other.short_name) for other in outputs)
+        and not _is_copy(table, c.title, chosen["input"].title)
     ]
     inputs = [chosen["input"], *further]
     if not further or isinstance(table, SeriesTable):
@@ -659,6 +667,23 @@ def _add_inputs(
     chosen.update(
         {f"input.{number}": column for number, column in enumerate(moved_by, 1)}
     )
+
+
+def _is_like_input(column: Column, first: Column) -> bool:
+    """Whether a column is switched, steps under the name of an input, or is of the first input's kind: two valves
+    in per cent."""
+    if column.kind == "on or off":
+        return True
+    words = _words_of_inputs(column)
+    has_its_words = column.kind == "numbers" and bool(words & _words_of_inputs(first))
+    is_of_its_kind = has_its_words and column.unit == first.unit != ""
+    return is_of_its_kind or (column.stepped and bool(words))
+
+
+def _words_of_inputs(column: Column) -> frozenset[str]:
+    """What in the name of a column is that of an input, such as `valve`."""
+    words = (found.group().strip(" _") for found in _INPUT.finditer(column.short_name))
+    return frozenset(word.lower() for word in words)
 
 
 def _day_and_clock(columns: Sequence[Column]) -> tuple[str, ...]:
@@ -678,9 +703,19 @@ def _candidates(columns: Sequence[Column]) -> list[tuple[str, list[Column]]]:
         column for column in columns if column not in references and not column.even
     ]
     titled_inputs = _named(signals, _INPUT, ("on or off", "numbers"))
-    titled_outputs = _liveliest(_named(signals, _OUTPUT, ("numbers", "time")))
-    measured = _liveliest(_of_units(signals))
+    incoming = _named(signals, _INCOMING, ("numbers",))
+    titled_outputs = _liveliest(
+        [
+            column
+            for column in _named(signals, _OUTPUT, ("numbers", "time"))
+            if column not in incoming
+        ]
+    )
+    measured = _liveliest(
+        [column for column in _of_units(signals) if column not in incoming]
+    )
     numbers = _of_kind(signals, "numbers")
+    going_out = [column for column in numbers if column not in incoming]
     return [
         ("time", _named(columns, _TIME, ("time",))),
         ("reference", references),
@@ -705,7 +740,8 @@ def _candidates(columns: Sequence[Column]) -> list[tuple[str, list[Column]]]:
             "input",
             [column for column in numbers if column.different <= _COMMANDED.different],
         ),
-        ("output", _liveliest(numbers)),
+        ("output", _liveliest(going_out)),
+        ("output", _liveliest(incoming)),
         ("input", [column for column in numbers if column not in measured]),
         ("input", numbers),
     ]
