@@ -18,6 +18,8 @@ from twinmatch.importing.derived import with_derived
 from twinmatch.importing.mapped import Mapped, map_samples
 from twinmatch.importing.resampling import Gaps
 from twinmatch.importing.tables import read_table
+from twinmatch.parameters.candidates import parse_candidates
+from twinmatch.plants import find_plant
 from twinmatch.sampling.channels import SamplingError
 from twinmatch.sampling.names import turns_of
 from twinmatch.sampling.sampler import Limits, Sampler
@@ -228,6 +230,24 @@ def test_counted_turns_are_not_beyond_the_span() -> None:
     refusals = Refusals(settings, 3)
     far = Sample(0, 0, (0.0,), (7200.0,), (0.0,), (0.0,))
     assert refusals.settle(far).refused == ()
+
+
+def test_a_candidate_is_remembered_with_the_turns_that_were_counted(
+    tmp_path: Path,
+) -> None:
+    lines = (
+        "from tests.support.compass import Ship",
+        'class RememberedShip(Ship, name="remembered_ship"):',
+        '    title = "Ship"',
+    )
+    path = tmp_path / "remembered_ship.py"
+    path.write_text("\n".join(lines) + "\n")
+    entry = (
+        f"{{name: a, plant: {path}, structure: first order, gain: 0.1, lag: 9.0, "
+        "operating_point: 7200.0}"
+    )
+    (candidate,) = parse_candidates(f"candidates: [{entry}]", "file", find_plant)
+    assert candidate.operating_point == 7200.0
 
 
 @pytest.mark.parametrize("turn", [-360.0, math.inf, math.nan])
