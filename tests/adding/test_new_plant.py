@@ -567,6 +567,46 @@ def test_of_an_angle_that_moves_on_the_rows_are_kept_and_that_is_said(
     )
 
 
+def shaken(size: int, noise: float) -> tuple[FloatArray, FloatArray]:
+    """Readings of a resonator of 68 Hz, 610 a second, and the random force on it; shape (N,) each."""
+    random = np.random.default_rng(1)
+    stiffness = (2.0 * math.pi * 68.0) ** 2
+    place = speed = 0.0
+    places = []
+    forces = random.standard_normal(size)
+    for force in forces:
+        places.append(place)
+        for _ in range(20):
+            speed += (stiffness * (force - place) - 38.0 * speed) / 12200.0
+            place += speed / 12200.0
+    return np.array(places) + noise * random.standard_normal(size), forces
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.02])
+def test_the_noise_of_a_resonator_is_not_its_movement(noise: float) -> None:
+    """Nine readings to a period bend as noise does, of which they have a hundredth or less."""
+    readings, forces = shaken(4000, noise)
+    assert readings.std() > 50.0 * noise
+    assert noise_of(readings, [forces]) == pytest.approx(noise, rel=0.5)
+
+
+def test_a_lag_that_is_a_guess_leaves_out_no_rows(tmp_path: Path) -> None:
+    """Readings in which nothing but noise is seen say nothing of how fast the plant is."""
+    random = np.random.default_rng(1)
+    rows = ["time [s],place [mm],force [N]"]
+    for k in range(6000):
+        place = random.standard_normal()
+        rows.append(f"{k / 610.0:.6f},{place:.5f},{random.choice([-1.0, 1.0])}")
+    path = tmp_path / "noise.csv"
+    path.write_text("\n".join(rows))
+    proposal = propose(
+        read_table(path), parse_map(["time=time", "output=place", "input=force"])
+    )
+    assert proposal.period == pytest.approx(1.0 / 610.0, rel=1e-3)
+    assert [note for note in proposal.notes if "is a guess" in note]
+    assert not [note for note in proposal.notes if "time constant" in note]
+
+
 def test_a_constant_load_and_a_second_lag_are_found_with_the_file_as_it_was_written(
     tmp_path: Path,
 ) -> None:
@@ -906,10 +946,14 @@ def resonator(path: Path) -> None:
 def test_a_twin_that_is_matched_and_of_no_use_is_a_finding(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A lag explains an oscillation within the noise that was measured, and forecasts it worse than ARX."""
+    """A lag explains an oscillation within a noise that is declared too large, and forecasts it worse than ARX."""
     monkeypatch.chdir(tmp_path)
     resonator(tmp_path / "log.csv")
     assert main(["new-plant", "resonator", "--from", "log.csv"]) == 0
+    plant = tmp_path / "resonator.py"
+    text = plant.read_text()
+    assert "noise=0.0021," in text
+    plant.write_text(text.replace("noise=0.0021,", "noise=0.014,"))
     capsys.readouterr()
     written = ["--data", "log.csv", "--map-file", "resonator_map.yaml"]
     assert main(["check-plant", "resonator.py", *written]) == 1

@@ -594,3 +594,49 @@ def test_air_outside_by_the_name_of_building_controls_is_a_disturbance(
         "input": "Htg Valve (%)",
         "room": "OAT (°C)",
     }
+
+
+def building(folder: Path, second: str, *, reads_back: bool = False) -> dict[str, str]:
+    """The guess at a zone with a heating valve and a second column in per cent, which cools or reads it back."""
+    rng = np.random.default_rng(5)
+    heat = 50.0 + 40.0 * np.sin(np.arange(900) / 37.0)
+    cool = 50.0 + 40.0 * np.sin(np.arange(900) / 23.0)
+    zone = 15.0 + lagged(heat, 20.0, 20.0, 1) - lagged(cool, 20.0, 12.0, 1)
+    shown = heat + 0.2 * rng.standard_normal(900) if reads_back else cool
+    path = folder / "building.csv"
+    lines = [f"time (s),Zone Temp (°C),Htg Valve (%),{second}"]
+    for row in zip(range(900), zone, heat, shown, strict=True):
+        lines.append("{:d},{:.2f},{:.1f},{:.1f}".format(*row))
+    path.write_text("\n".join(lines) + "\n")
+    return guess(path)
+
+
+def test_a_second_valve_that_modulates_is_an_input(tmp_path: Path) -> None:
+    """Neither holds its values, as those of a relay are held."""
+    cooled = building(tmp_path, "Clg Valve (%)")
+    assert cooled["input.1"] == "Htg Valve (%)"
+    assert cooled["input.2"] == "Clg Valve (%)"
+    # of another unit, of another kind, or the first one again
+    assert building(tmp_path, "Clg Valve (V)")["input"] == "Htg Valve (%)"
+    assert building(tmp_path, "Humidity (%)")["input"] == "Htg Valve (%)"
+    again = building(tmp_path, "Htg Valve Fbk (%)", reads_back=True)
+    assert again["input"] == "Htg Valve (%)"
+
+
+def test_what_flows_into_a_plant_is_not_its_output(tmp_path: Path) -> None:
+    blower = held([20, 60, 40, 80], 600, 50)
+    oxygen = 1.0 + lagged(blower, 20.0, 5.0, 1)
+    inflow = 300.0 + 50.0 * np.sin(np.arange(600) / 91.0)
+    path = tmp_path / "basin.csv"
+    titles = "time (s),DO [mg/L],Blower [%],Inflow [m3/h]"
+    rows = zip(range(600), oxygen, blower, inflow, strict=True)
+    lines = [f"{t},{y:.2f},{u:g},{q:.0f}" for t, y, u, q in rows]
+    path.write_text("\n".join([titles, *lines]) + "\n")
+    assert guess(path)["output"] == "DO [mg/L]"
+    # where nothing else is left, it is one
+    lines = [
+        f"{t},{u:g},{y:.2f}"
+        for t, y, u, _ in zip(range(600), oxygen, blower, inflow, strict=True)
+    ]
+    path.write_text("\n".join(["time (s),Valve [%],Inflow [m3/h]", *lines]) + "\n")
+    assert guess(path)["output"] == "Inflow [m3/h]"

@@ -35,6 +35,7 @@ from twinmatch.importing.tables import TEXTS
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.separation import inseparable_in
 from twinmatch.sampling.sources import SignalMap
+from twinmatch.sampling.turns import shown_turn
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import ProgressCallback
 from twinmatch.settings import Rule
@@ -193,8 +194,8 @@ def _of_samples(
     parameters: Parameters,
     least: tuple[float, ...],
 ) -> tuple[list[Finding], list[str]]:
-    """The noise of every output, which may be what the best fit leaves at `least`, and the duration."""
-    findings = []
+    """The noise of every output, which may be what the best fit leaves at `least`, angles, and the duration."""
+    findings = [*findings_of_angles(session, plant)]
     size = len(session.samples)
     outputs = plant.outputs
     longest = max(stretches(session.samples, session.period), key=len)
@@ -235,6 +236,18 @@ def _of_samples(
         todo = f"record at least {2 * lags[-1]:.3g} s, or check the default of that parameter"
         findings.append(Finding(f"{problem} ({lags[-1]:.3g} s)", todo))
     return findings, notes
+
+
+def findings_of_angles(session: Session, plant: type[Plant]) -> Iterator[Finding]:
+    """That an output begins again after a turn, which the plant's file does not say."""
+    readings = np.array([sample.outputs for sample in session.samples])
+    for column, output in zip(readings.T, plant.outputs.values(), strict=True):
+        turn = 0.0 if output.turn else shown_turn(column, output.unit, output.name)
+        if turn:
+            yield Finding(
+                f"{output.name} begins again after {turn:.6g}, as an angle does, which no equations can follow",
+                f"write turn={turn:.6g} in its Output: its turns are counted then",
+            )
 
 
 def _of_what_is_left(least: tuple[float, ...], plant: type[Plant]) -> Iterator[Finding]:

@@ -5,6 +5,10 @@ length. Second differences of what is left, y[k+2h] − 2 y[k+h] + y[k], are har
 noise of standard deviation σ gives them the variance 6 σ², from the distance h on at which it no longer
 resembles itself. For white noise that is every h; averages and low-pass filters need larger ones.
 
+A plant that oscillates within a few samples moves in second differences, too. But no forecast of the next reading
+errs by less than its white noise: where a linear model of the readings and inputs before errs by far less, its
+error is the noise.
+
 A coarse sensor at rest shows no noise at all, yet is wrong by up to half a step. Its steps q, which may
 differ from level to level, are those between readings that are held; the noise is at least q/√12.
 """
@@ -37,6 +41,20 @@ class _Answers(Rule):
 
 
 _ANSWERS: Final = _Answers()
+
+
+class _NextReading(Rule):
+    """A linear model that forecasts the next reading."""
+
+    order: int = 12
+    """Readings before it, and values of each input, from which it is forecast: an oscillation needs two."""
+    per_coefficient: int = 20
+    """Least readings for each coefficient, so that they do not explain the noise."""
+    less: float = 0.5
+    """Its error is the noise if it is less than this share of what second differences show."""
+
+
+_NEXT: Final = _NextReading()
 
 
 class _DifferenceBlocks(Rule):
@@ -105,7 +123,12 @@ def noise_of(values: FloatArray, inputs: Sequence[FloatArray] = ()) -> float:
         inputs: what moved it, each of shape (N,): inputs and measured disturbances.
     """
     y = values[: _ANSWERS.most]
-    white = _noise(_unexplained(y, [u[: _ANSWERS.most] for u in inputs]))
+    moving = [u[: _ANSWERS.most] for u in inputs]
+    shown = _noise(_unexplained(y, moving))
+    noise = shown.size
+    if shown.is_white:
+        least_error = _error_of_next(y, moving)
+        noise = least_error if least_error < _NEXT.less * noise else noise
     reach = float(np.ptp(y)) or 1.0
     changes = np.abs(np.diff(y))
     digit = float(np.min(changes[changes > _DIGITS.smallest * reach], initial=math.inf))
@@ -116,7 +139,7 @@ def noise_of(values: FloatArray, inputs: Sequence[FloatArray] = ()) -> float:
         if in_digits and digit < math.inf
         else _DIGITS.floor * reach
     )
-    return float(f"{max(white, resolution(y) / math.sqrt(12.0), least):.2g}")
+    return float(f"{max(noise, resolution(y) / math.sqrt(12.0), least):.2g}")
 
 
 def resolution(values: FloatArray) -> float:
@@ -163,6 +186,25 @@ def _unexplained(values: FloatArray, inputs: Sequence[FloatArray]) -> FloatArray
     return residuals
 
 
+def _error_of_next(values: FloatArray, inputs: Sequence[FloatArray]) -> float:
+    """Root mean square error of a linear model of the next reading, without spikes; infinite of few readings."""
+    size = values.size
+    signals = (values, *inputs)
+    order = min(_NEXT.order, size // (_NEXT.per_coefficient * len(signals)))
+    if order < 2:
+        return math.inf
+    columns = [np.ones(size - order)]
+    for before in range(1, order + 1):
+        columns += [signal[order - before : size - before] for signal in signals]
+    columns += [signal[order:] for signal in inputs]
+    table = np.column_stack(columns)
+    table = table / (np.linalg.norm(table, axis=0) + 1e-300)
+    following = values[order:]
+    errors = following - table @ np.linalg.lstsq(table, following, rcond=None)[0]
+    is_spike = np.abs(errors) > _ANSWERS.spike * np.median(np.abs(errors))
+    return float(np.sqrt(np.mean(np.square(errors[~is_spike]))))
+
+
 @compiled
 def first_order_answer(u: FloatArray, pole: float) -> FloatArray:
     """Answer of a first-order lag of gain 1, at rest before: y[k+1] = pole y[k] + (1 − pole) u[k], shape of u."""
@@ -174,8 +216,17 @@ def first_order_answer(u: FloatArray, pole: float) -> FloatArray:
     return y
 
 
-def _noise(values: FloatArray) -> float:
-    """Standard deviation of noise, white or coloured, on a signal that hardly moves."""
+class _Shown(NamedTuple):
+    """The noise that second differences show."""
+
+    size: float
+    """Its standard deviation."""
+    is_white: bool
+    """Whether it does not resemble itself from one reading to the next."""
+
+
+def _noise(values: FloatArray) -> _Shown:
+    """The noise, white or coloured, on a signal that hardly moves."""
     variances: list[_Variance] = []
     for distance in 2 ** np.arange(12):
         typical = _typical(values, int(distance))
@@ -183,12 +234,12 @@ def _noise(values: FloatArray) -> float:
             break
         variances.append(typical)
     if not variances:
-        return 0.0
+        return _Shown(0.0, is_white=True)
     chosen = _distance_of_noise(variances)
     spread = float(np.median(np.abs(values - np.median(values))))
     if chosen and variances[chosen].median * _GROWTH.all_of_it < spread**2:
         chosen = 0  # much is left that is slower still: a movement
-    return math.sqrt(variances[chosen].mean)
+    return _Shown(math.sqrt(variances[chosen].mean), is_white=chosen == 0)
 
 
 def _distance_of_noise(variances: Sequence[_Variance]) -> int:

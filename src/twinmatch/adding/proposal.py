@@ -145,7 +145,9 @@ def propose(
     drive_from_centre = [limit - centre for limit in drive_range]
     output_range = _output_range(reading, drive_from_centre, model)
     return Proposal(
-        output=Signal(output_name, output_unit, *output_range),
+        output=Signal(
+            output_name, output_unit, *output_range, turn=signals.turn("output")
+        ),
         input=Signal(input_name, signals.unit("input"), *drive_range),
         disturbances=tuple(disturbances.values()),
         noise=noise,
@@ -325,7 +327,8 @@ def _first_order(
             return _rounded_model(gain, model.lag, model.rest, rests=model.rests)
     span = float(np.ptp(reading)) or 1.0
     reach = float(np.ptp(drive)) or 1.0
-    return _rounded_model(span / reach, 0.1 * reading.size * period, float(reading[0]))
+    lag = 0.1 * reading.size * period
+    return _rounded_model(span / reach, lag, float(reading[0]), rests=False)
 
 
 def _rounded_model(

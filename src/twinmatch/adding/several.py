@@ -211,7 +211,10 @@ def _lagged(
     low = min(float(reading.min()), lowest) - reach
     high = max(float(reading.max()), highest) + reach
     signal = Signal(
-        signals.name_in_file(name), signals.unit(name), *round_out(low, high)
+        signals.name_in_file(name),
+        signals.unit(name),
+        *round_out(low, high),
+        turn=signals.turn(name),
     )
     return LaggedOutput(
         signal,

@@ -6,6 +6,7 @@ import keyword
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -21,6 +22,7 @@ from twinmatch.importing.mapped import (
     with_titles,
     without_impossible,
     without_marks,
+    without_means_of,
 )
 from twinmatch.importing.resampling import (
     Kind,
@@ -32,6 +34,7 @@ from twinmatch.importing.resampling import (
 )
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.sampling.sources import SignalMap, SignalSource
+from twinmatch.sampling.turns import counted_on, shown_turn
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
 from twinmatch.units import is_unit
@@ -82,6 +85,8 @@ class Signal(NamedTuple):
     low: float
     high: float
     text: str = ""
+    turn: float = 0.0
+    """What it loses where it begins again, as an angle does; 0: it never does."""
 
 
 def is_signal(name: str, role: str) -> bool:
@@ -125,6 +130,7 @@ class TableSignals:
         }
         self._times = times_of(table, self._sources.get("time"), signal_map.period)
         self._names_in_file: list[str] = []
+        self._turns = self._turns_by_signal()
         self.bridge = longest
         """Longest step between rows that is interpolated, s; None: the usual one."""
         self.resampled = self._on_one_clock()
@@ -132,7 +138,8 @@ class TableSignals:
 
     def _on_one_clock(self) -> Resampled:
         kinds = self._kinds()
-        table, times = in_rows(self._table, self._sources, kinds, self._times)
+        in_table = without_means_of(kinds, self._turns)
+        table, times = in_rows(self._table, self._sources, in_table, self._times)
         signals = {name: self._values_in(table, name) for name in kinds}
         _require_usual_sizes(table, signals)
         columns = (times.seconds, *signals.values())
@@ -191,6 +198,12 @@ class TableSignals:
         return self._values_in(self._table, signal)
 
     def _values_in(self, table: Table, signal: str) -> FloatArray:
+        readings = self._readings_in(table, signal)
+        turn = self.turn(signal)
+        return counted_on(readings, turn) if turn else readings
+
+    def _readings_in(self, table: Table, signal: str) -> FloatArray:
+        """The mean of the columns of a signal as they are: turns are not counted."""
         source = self._sources[signal]
         columns = [
             source.scale * without_marks(table.values(title)) + source.offset
@@ -198,6 +211,24 @@ class TableSignals:
         ]
         mean = np.asarray(np.mean(columns, axis=0), dtype=np.float64)
         return without_impossible(mean, self.unit(signal))
+
+    def turn(self, signal: str) -> float:
+        """What a signal loses where it begins again, by its map or as its column shows; 0: it never does."""
+        return self._turns.get(signal, 0.0)
+
+    def _turns_by_signal(self) -> dict[str, float]:
+        """What each signal that begins again loses there. Set-points are not read for a first file."""
+        turns = {}
+        for signal, kind in self._kinds().items():
+            source = self._sources[signal]
+            if source.turn:
+                turns[signal] = source.turn
+            elif len(source.places) == 1 and kind == "reading":
+                name = " ".join((signal, *source.places))
+                readings = self._readings_in(self._table, signal)
+                if turn := shown_turn(readings, self.unit(signal), name):
+                    turns[signal] = turn
+        return turns
 
     def unit(self, signal: str) -> str:
         """The unit of a signal by its map or its title; empty where neither has one."""
@@ -245,16 +276,40 @@ class TableSignals:
         self, disturbances: Mapping[str, Signal]
     ) -> dict[str, SignalSource]:
         """The sources of the map with the names that disturbances have in the file."""
-        return {
-            disturbances[name].name if name in disturbances else name: source
-            for name, source in self._map.sources.items()
-        }
+        sources = {}
+        for name, source in self._map.sources.items():
+            if name in disturbances:
+                turned = replace(source, turn=self.turn(name))
+                sources[disturbances[name].name] = turned
+            elif is_signal(name, "output"):
+                # the plant's file has it
+                sources[name] = replace(source, turn=0.0)
+            else:
+                sources[name] = source
+        return sources
 
     @property
     def notes(self) -> tuple[str, ...]:
         """How the table was read, in sentences for the user."""
         of_times = notes_on_times(self._table, self._sources.get("time"), self._times)
-        return (*self._table.notes, *self._notes_on_readings(), *of_times)
+        return (
+            *self._table.notes,
+            *self._notes_on_readings(),
+            *self._notes_on_turns(),
+            *of_times,
+        )
+
+    def _notes_on_turns(self) -> list[str]:
+        """A note on each signal that was seen to begin again."""
+        notes = []
+        for signal, turn in self._turns.items():
+            if not self._sources[signal].turn:
+                where = "Output" if is_signal(signal, "output") else "source in the map"
+                notes.append(
+                    f"{signal} begins again after {turn:.6g}, as an angle does: turn={turn:.6g} is written into its "
+                    f"{where}, and its turns are counted."
+                )
+        return notes
 
     def _notes_on_readings(self) -> list[str]:
         """Notes on columns with values below absolute zero."""

@@ -289,6 +289,8 @@ def written_source(source: SignalSource) -> str:
         "scale": (source.scale, 1.0),
         "offset": (source.offset, 0.0),
         "missing": (list(source.missing), []),
+        "interval": (source.interval, "after"),
+        "turn": (source.turn, 0.0),
         "words": (dict(source.words), {}),
     }
     entry |= {

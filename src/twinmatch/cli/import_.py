@@ -22,6 +22,7 @@ from twinmatch.importing.column_map import (
     SEEN,
     columns_of,
     in_words_of_all_loops,
+    notes_on_angles,
     proposed,
     seen_by_controller,
 )
@@ -188,7 +189,7 @@ def _list(path: Path) -> int:
                 c.title, c.unit, *ends, str(c.different), str(c.empty), c.kind
             )
         sources = proposed(columns, table)
-        notes = list(table.notes)
+        notes = [*table.notes, *notes_on_angles(columns, table)]
     console_for(140).print(shown)
     for note in notes:
         print(f"Note: {note}")

@@ -20,6 +20,8 @@ _Self = TypeVar("_Self", bound="Declaration")
 _STEP = 20.0
 """Step that excites a plant, in units of the noise."""
 
+_MOST_TURNS = 1e9
+"""Turns up to which readings that begin again are counted: a motor makes fewer in its life."""
 _LARGEST_INTEGER = 2**63 - 1
 _LONGEST_SHOWN = 60
 """Length to which a message shortens a value, characters."""
@@ -140,6 +142,9 @@ class Output(Declaration):
     output beyond them is called safe."""
     absolute: float = 0.0
     """Offset from a reading to the absolute quantity: 273.15 for °C."""
+    turn: float = 0.0
+    """What a reading loses where it begins again, as that of a compass after 360°; 0: it never does. Turns are
+    counted on, also beyond `span`."""
     sensor: str = "sensor"
     """Name of the sensor: what to check if readings are wrong."""
 
@@ -152,6 +157,19 @@ class Output(Declaration):
             require_range("set_points of the output", self.set_points)
         require_range("safe of the output", self.safe, finite=False)
         require_text("sensor of the output", self.sensor)
+        require_number("turn of the output", self.turn)
+        if self.turn < 0.0:
+            raise PlantError(
+                f"plant: turn of the output is {self.turn:g}; give what a reading loses where it begins again, "
+                "such as 360.0"
+            )
+
+    @property
+    def readable(self) -> tuple[float, float]:
+        """Readings that a working sensor can give, with the turns that were counted."""
+        low, high = self.span
+        counted = _MOST_TURNS * self.turn
+        return low - counted, high + counted
 
     @property
     def least_step(self) -> float:

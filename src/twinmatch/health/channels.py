@@ -135,7 +135,7 @@ class ChannelMonitor:
         self._standing = StandingChanges(self.competition)
         self._unbelieved = UnbelievedSensors(self.competition, parameters.model.plant)
         outputs = parameters.model.plant.outputs.values()
-        self._spans = np.array([output.span for output in outputs])
+        self._spans = np.array([output.readable for output in outputs])
         self._values = self._spans.mean(axis=1)
         self._begin = self._index = -2
         self._lie_ended = -math.inf

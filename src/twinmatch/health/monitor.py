@@ -87,7 +87,7 @@ class Monitor:
         self._sentences = FaultSentences(
             self.settings.reference.model, self.settings.period
         )
-        self._span = self.settings.reference.model.plant.output.span
+        self._span = self.settings.reference.model.plant.output.readable
         self._lag = Lag(self.settings.pace)
         self._begin_with(self.settings)
         self._repeats = self._new_repeats()

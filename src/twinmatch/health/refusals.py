@@ -103,7 +103,7 @@ class Refusals:
     def __init__(self, settings: HealthSettings, longest: int) -> None:
         """Begin without samples; at most `longest` in a row are replaced."""
         plant = settings.reference.model.plant
-        self._spans = [output.span for output in plant.outputs.values()]
+        self._spans = [output.readable for output in plant.outputs.values()]
         self._defaults = settings.reference
         self._twin = settings.reference if plant.typical else None
         self._period = settings.period

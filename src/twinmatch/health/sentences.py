@@ -98,7 +98,7 @@ class FaultSentences:
     def refused(self, before: Sample | None, sample: Sample) -> Evidence:
         """A reading that the plant cannot have, or cannot have reached from the sample before."""
         [reading] = sample.refused
-        low, high = self._plant.output.span
+        low, high = self._plant.output.readable
         if before is None or not low <= reading <= high:
             reason = (
                 f"{self.output} is {reading:g}{self.unit} at {sample.input:g} {self.input}, "

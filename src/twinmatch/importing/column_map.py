@@ -21,6 +21,7 @@ from twinmatch.importing.stacked import SeriesTable
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times, read_times, unit_in
 from twinmatch.sampling.sources import SignalMap, SignalSource, source_of
+from twinmatch.sampling.turns import shown_turn
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.files import RecordingError
 from twinmatch.settings import Rule
@@ -83,6 +84,10 @@ _ROOM: Final = re.compile(
 _OUTSIDE: Final = re.compile(
     r"amb|outside|outdoor|\boat\b|environment|t_?inf|surround|weather", re.IGNORECASE
 )
+_INCOMING: Final = re.compile(
+    r"inflow|influent|inlet|intake|zulauf|(?:\b|_)feed", re.IGNORECASE
+)
+"""Names of what comes into a plant: it acts on it, and is an output only where nothing else is left."""
 _TIME: Final = re.compile(
     r"^t$|^tout$|^t[ _.-](ns|us|ms|s|min|h)$|time|stamp|date|^sec|elapsed|^zeit",
     re.IGNORECASE,
@@ -178,6 +183,28 @@ def columns_of(table: Table) -> list[Column]:
             *(_series(table, title) for title in table.places_of),
         ]
     return _with_drives_of_loops([_column(table, title) for title in table.columns])
+
+
+def notes_on_angles(columns: Sequence[Column], table: Table) -> list[str]:
+    """A note on each column that begins again after a turn."""
+    notes = []
+    for column in columns:
+        if column.kind != "numbers":
+            continue
+        values = _in_order(table, column.title)
+        if turn := shown_turn(values, column.unit, column.title):
+            notes.append(
+                f"{column.title} begins again after {turn:.6g}, as an angle does: turn={turn:.6g} in the plant "
+                "file's Output, where new-plant writes it, or behind the column in a map, has its turns counted."
+            )
+    return notes
+
+
+def _in_order(table: Table, title: str) -> FloatArray:
+    """The values of a column or series in the order of their times, shape (N,)."""
+    if isinstance(table, SeriesTable):
+        return table.own_values(title)
+    return table.values(title)
 
 
 def _with_drives_of_loops(columns: Sequence[Column]) -> list[Column]:
@@ -609,7 +636,10 @@ def _paired(
 def _add_inputs(
     columns: Sequence[Column], chosen: dict[str, Column], table: Table
 ) -> None:
-    """Add what is named like an input, or switched, if the output moves with it beside the first input."""
+    """Add what is an input by its name or its values, if the output moves with it beside the first input.
+
+    What reads back another input is none.
+    """
     if not {"output", "input"} <= chosen.keys():
         return
     output = chosen["output"]
@@ -618,8 +648,9 @@ def _add_inputs(
         c
         for c in columns
         if c not in chosen.values()
-        and (c.kind == "on or off" or (c.stepped and _INPUT.search(c.short_name)))
+        and _is_like_input(c, chosen["input"])
         and not any(share_a_word(c.short_name, other.short_name) for other in outputs)
+        and not _is_copy(table, c.title, chosen["input"].title)
     ]
     inputs = [chosen["input"], *further]
     if not further or isinstance(table, SeriesTable):
@@ -636,6 +667,23 @@ def _add_inputs(
     chosen.update(
         {f"input.{number}": column for number, column in enumerate(moved_by, 1)}
     )
+
+
+def _is_like_input(column: Column, first: Column) -> bool:
+    """Whether a column is switched, steps under the name of an input, or is of the first input's kind: two valves
+    in per cent."""
+    if column.kind == "on or off":
+        return True
+    words = _words_of_inputs(column)
+    has_its_words = column.kind == "numbers" and bool(words & _words_of_inputs(first))
+    is_of_its_kind = has_its_words and column.unit == first.unit != ""
+    return is_of_its_kind or (column.stepped and bool(words))
+
+
+def _words_of_inputs(column: Column) -> frozenset[str]:
+    """What in the name of a column is that of an input, such as `valve`."""
+    words = (found.group().strip(" _") for found in _INPUT.finditer(column.short_name))
+    return frozenset(word.lower() for word in words)
 
 
 def _day_and_clock(columns: Sequence[Column]) -> tuple[str, ...]:
@@ -655,9 +703,19 @@ def _candidates(columns: Sequence[Column]) -> list[tuple[str, list[Column]]]:
         column for column in columns if column not in references and not column.even
     ]
     titled_inputs = _named(signals, _INPUT, ("on or off", "numbers"))
-    titled_outputs = _liveliest(_named(signals, _OUTPUT, ("numbers", "time")))
-    measured = _liveliest(_of_units(signals))
+    incoming = _named(signals, _INCOMING, ("numbers",))
+    titled_outputs = _liveliest(
+        [
+            column
+            for column in _named(signals, _OUTPUT, ("numbers", "time"))
+            if column not in incoming
+        ]
+    )
+    measured = _liveliest(
+        [column for column in _of_units(signals) if column not in incoming]
+    )
     numbers = _of_kind(signals, "numbers")
+    going_out = [column for column in numbers if column not in incoming]
     return [
         ("time", _named(columns, _TIME, ("time",))),
         ("reference", references),
@@ -682,7 +740,8 @@ def _candidates(columns: Sequence[Column]) -> list[tuple[str, list[Column]]]:
             "input",
             [column for column in numbers if column.different <= _COMMANDED.different],
         ),
-        ("output", _liveliest(numbers)),
+        ("output", _liveliest(going_out)),
+        ("output", _liveliest(incoming)),
         ("input", [column for column in numbers if column not in measured]),
         ("input", numbers),
     ]

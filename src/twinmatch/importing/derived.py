@@ -44,6 +44,7 @@ def with_derived(table: Table, signal_map: SignalMap) -> tuple[Table, SignalMap]
                 source.scale,
                 source.offset,
                 interval=source.interval,
+                turn=source.turn,
             )
         elif source.words or source.missing:
             _require_words(table, source)
@@ -139,7 +140,7 @@ def _title(source: SignalSource) -> str:
 
     The semicolon at the end keeps a unit in the last column's title from being that of the result.
     """
-    return f"{replace(source, unit='', scale=1.0, offset=0.0).text};"
+    return f"{replace(source, unit='', scale=1.0, offset=0.0, turn=0.0).text};"
 
 
 def _computed(table: Table, signal_map: SignalMap, source: SignalSource) -> FloatArray:

@@ -19,6 +19,7 @@ from twinmatch.importing.resampling import (
     Kind,
     Resampled,
     complete_rows,
+    longest_without_loss,
     repeated,
     resample,
     usual_period,
@@ -27,8 +28,14 @@ from twinmatch.importing.stacked import SeriesTable
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times, read_date_and_time, read_times, row_times
 from twinmatch.sampling.channels import SamplingError, UnreadableError
-from twinmatch.sampling.names import LoopNames, accepted_names, by_signal
+from twinmatch.sampling.names import LoopNames, accepted_names, by_signal, turns_of
 from twinmatch.sampling.sources import INPUT, OUTPUT, TIME, SignalMap, SignalSource
+from twinmatch.sampling.turns import (
+    all_beside,
+    counted_on,
+    shown_turn,
+    uncertain_gaps,
+)
 from twinmatch.sampling.written_numbers import written_number
 from twinmatch.sessions.files import RecordingError
 from twinmatch.sessions.recording import EPOCH
@@ -157,8 +164,12 @@ def map_samples(
         table, plant, replace(signal_map, sources=sources)
     )
     times = times_of(table, sources.get(TIME), signal_map.period)
+    try:
+        turns = turns_of(plant, sources)
+    except SamplingError as error:
+        raise RecordingError(f"{table.path}: {error}") from None
     kinds = {signal: properties.kind for signal, properties in signals.items()}
-    table, times = in_rows(table, sources, kinds, times)
+    table, times = in_rows(table, sources, without_means_of(kinds, turns), times)
     values = {}
     impossible_notes = []
     for signal, properties in signals.items():
@@ -167,6 +178,7 @@ def map_samples(
         impossible_notes += notes_on_impossible(
             table, signal, converted, values[signal]
         )
+    values = _with_turns_counted(plant, values, turns)
     rows, row_notes = _rows_with_values(table, times, values)
     notes += [
         *impossible_notes,
@@ -176,6 +188,14 @@ def map_samples(
     ]
     for signal, properties in signals.items():
         notes += check_range(table, signal, properties, values[signal], rows)
+    angles = _Angles(plant, table, times.seconds, rows)
+    for signal in signals:
+        if signal in turns and signal not in LoopNames.of(plant).references:
+            notes += angles.notes_on_gaps(signal, values[signal], turns[signal])
+        elif signals[signal].kind == "reading":
+            notes += angles.notes_on_beginnings(
+                signal, values[signal], signals[signal].unit, sources[signal]
+            )
     try:
         resampled = resample(
             times.seconds[rows],
@@ -207,6 +227,53 @@ def map_samples(
         sources,
         has_reference,
         notes,
+    )
+
+
+class _Angles(NamedTuple):
+    """Signals of a table, some of which begin again after a turn, in the rows that are used."""
+
+    plant: type[Plant]
+    table: Table
+    seconds: FloatArray
+    """Times of all rows, s."""
+    rows: NDArray[np.intp]
+
+    def notes_on_gaps(self, signal: str, counted: FloatArray, turn: float) -> list[str]:
+        """A note on gaps in which a signal may have moved by more than half a turn; `counted` has all rows."""
+        seconds = self.seconds[self.rows]
+        steps = np.abs(np.diff(seconds))
+        gaps = np.flatnonzero(steps > longest_without_loss(seconds)).tolist()
+        uncertain = uncertain_gaps(seconds, counted[self.rows], turn, gaps)
+        if not uncertain:
+            return []
+        first = uncertain[0]
+        further = f" (and in {len(uncertain) - 1} more)" if len(uncertain) > 1 else ""
+        return [
+            f"{signal} may have moved by more than half a turn in the {steps[first]:.4g} s behind "
+            f"{self.table.row_name(int(self.rows[first]))}{further}, as fast as it moves elsewhere: the shorter "
+            "way is taken."
+        ]
+
+    def notes_on_beginnings(
+        self, signal: str, values: FloatArray, unit: str, source: SignalSource
+    ) -> list[str]:
+        """A note on a signal that begins again after a turn, though neither plant file nor map say so."""
+        name = " ".join((signal, *source.places))
+        turn = shown_turn(values[self.rows], unit, name)
+        return [note_on_turn(signal, turn, signal in self.plant.disturbances)] * (
+            turn > 0
+        )
+
+
+def note_on_turn(signal: str, turn: float, is_disturbance: bool) -> str:
+    """What to write of a signal that begins again after a turn."""
+    where = f"'{signal}=COLUMN; turn={turn:.6g}' in the map"
+    if not is_disturbance:
+        where = f"turn={turn:.6g} in the plant file's Output, or {where}"
+    return (
+        f"{signal} begins again after {turn:.6g}, as an angle does, which no plant can follow: write {where}, "
+        "and its turns are counted."
     )
 
 
@@ -334,7 +401,7 @@ def _signals_to_read(
     signals = {}
     notes = []
     for name, output in zip(loop.outputs, outputs, strict=True):
-        signals[name] = PlantSignal("reading", output.unit, *output.span)
+        signals[name] = PlantSignal("reading", output.unit, *output.readable)
     for name, drive in zip(loop.inputs, plant.drives.values(), strict=True):
         signals[name] = PlantSignal("held", drive.unit, *drive.limits)
     has_references = _has_references(loop, sources)
@@ -414,6 +481,34 @@ def in_rows(
                 )
             kinds_by_title[title] = kind
     return table.at_rows_of(next(iter(kinds_by_title)), kinds_by_title, times)
+
+
+def without_means_of(
+    kinds: Mapping[str, Kind], begin_again: Container[str]
+) -> dict[str, Kind]:
+    """What is between two values of each signal, as long as the turns of some are not counted: between 359 and
+    1 there is no mean of them."""
+    return {
+        signal: "set" if signal in begin_again else kind
+        for signal, kind in kinds.items()
+    }
+
+
+def _with_turns_counted(
+    plant: type[Plant], values: Mapping[str, FloatArray], turns: Mapping[str, float]
+) -> dict[str, FloatArray]:
+    """The signals in the plant's unit, shape (N,) each, with their turns; set-points in those of their outputs."""
+    loop = LoopNames.of(plant)
+    counted = dict(values)
+    for signal, turn in turns.items():
+        if signal in values and signal not in loop.references:
+            counted[signal] = counted_on(values[signal], turn)
+    for reference, output in zip(loop.references, loop.outputs, strict=False):
+        if reference in values and reference in turns:
+            counted[reference] = all_beside(
+                values[reference], counted[output], turns[reference]
+            )
+    return counted
 
 
 def _is_unconfirmed(source: SignalSource) -> bool:

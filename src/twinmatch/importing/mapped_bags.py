@@ -25,7 +25,7 @@ from twinmatch.importing.stretches import APART, PlacedTimes, Stretches
 from twinmatch.importing.tables import Table
 from twinmatch.importing.timed_signals import Hole, Loss, TimedSignal, rising_signal
 from twinmatch.sampling.channels import Channel, SamplingError
-from twinmatch.sampling.names import LoopNames, by_signal, signals_of
+from twinmatch.sampling.names import LoopNames, by_signal, signals_of, turns_of
 from twinmatch.sampling.sources import (
     OUTPUT,
     TIME,
@@ -33,6 +33,7 @@ from twinmatch.sampling.sources import (
     SignalMap,
     SignalSource,
 )
+from twinmatch.sampling.turns import counted_on
 from twinmatch.sessions.files import ProgressCallback, RecordingError
 from twinmatch.signals import FloatArray
 
@@ -71,6 +72,7 @@ def map_bag(
     for name, channels in placed.items():
         times_in_stretches[name] = [stretches.put(channel) for channel in channels]
     signals, losses = _signals(path, loop, recorded, followed, times_in_stretches)
+    signals = _with_turns_counted(path, plant, sources, signals)
     rows = _Rows(path, loop, signals, sources)
     is_used, row_losses = rows.with_all_signals(longest, gaps)
     table = _table(path, rows.columns(is_used, longest), is_used, stretches)
@@ -183,6 +185,31 @@ def _signals(
         is_number = np.isfinite(computed)  # a rate has none at its first message
         signals[name] = TimedSignal(first.times[is_number], computed[is_number])
     return signals, losses[loop.outputs[0]]
+
+
+def _with_turns_counted(
+    path: Path,
+    plant: type[Plant],
+    sources: Mapping[str, SignalSource],
+    signals: Mapping[str, TimedSignal],
+) -> dict[str, TimedSignal]:
+    """The signals, those that begin again with their turns: between 359 and 1 nothing can be interpolated.
+
+    Set-points are only held; they get the turns of their outputs once both are in one row.
+
+    Raises:
+        RecordingError: such a signal is the mean of several channels.
+    """
+    try:
+        turns = turns_of(plant, sources)
+    except SamplingError as error:
+        raise RecordingError(f"{path}: {error}") from None
+    counted = dict(signals)
+    for name, turn in turns.items():
+        if name not in LoopNames.of(plant).references:
+            signal = signals[name]
+            counted[name] = TimedSignal(signal.times, counted_on(signal.values, turn))
+    return counted
 
 
 class _Rows(NamedTuple):

@@ -297,6 +297,11 @@ def bridged_up_to(stamps: FloatArray, longest: float | None = None) -> float:
     return _STEPS.bridged * usual_step(np.diff(stamps)) if longest is None else longest
 
 
+def longest_without_loss(stamps: FloatArray) -> float:
+    """The longest step between rows of which none was lost, s; `stamps` are the times of the rows, s."""
+    return _STEPS.without_loss * usual_step(np.diff(stamps))
+
+
 def second_pace(stamps: FloatArray) -> float | None:
     """The step of a second pace of a logger, s, such as one a minute at rest beside one a second.
 

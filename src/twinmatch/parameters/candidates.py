@@ -128,7 +128,7 @@ def _candidate(entry: Any, place: str, find: Callable[[str], type[Plant]]) -> Ca
             f"{place}: operating_point has {len(values)} values; give one for each of {', '.join(outputs)}"
         )
     for value, output in zip(values, outputs.values(), strict=True):
-        low, high = output.span
+        low, high = output.readable
         if not low <= value <= high:
             unit = f" {output.unit}".rstrip()
             raise CandidateFileError(

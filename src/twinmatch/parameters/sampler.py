@@ -24,7 +24,13 @@ from twinmatch.parameters.twin import at_period, read_settings
 from twinmatch.plants import Peltier, find_plant, written_name
 from twinmatch.sampling.channels import Channel, SamplingError, parse_channel
 from twinmatch.sampling.listener import Open, SignalListener
-from twinmatch.sampling.names import LoopNames, by_signal, signal_called, signals_of
+from twinmatch.sampling.names import (
+    LoopNames,
+    by_signal,
+    signal_called,
+    signals_of,
+    turns_of,
+)
 from twinmatch.sampling.sampler import TIMER, Limits, Sampler
 from twinmatch.sampling.sources import SignalMap, SignalSource, parse_source
 from twinmatch.twin import TwinSettings
@@ -172,10 +178,13 @@ def limits_of(
     plant = find_plant(values["plant"])
     signals = signals_of(plant)
     outputs = LoopNames.of(plant).outputs
+    readable = {
+        name: output.readable
+        for name, output in zip(outputs, plant.outputs.values(), strict=True)
+    }
 
     def limits(name: str) -> Limits:
-        low = signals[name].low
-        high = signals[name].high
+        low, high = readable.get(name, (signals[name].low, signals[name].high))
         slack = _SLACK * max(abs(low), abs(high)) if high - low < float("inf") else 0.0
         return Limits(
             values[f"max_age.{name}"],
@@ -224,6 +233,7 @@ def listener_of(
         settle=values["settle"],
         disturbances={name: d.default for name, d in plant.disturbances.items()},
         loop=LoopNames.of(plant),
+        turns=turns_of(plant, sources),
     )
     parse = _parse_of(values)
     channels = {name: source.channels(name, parse) for name, source in sources.items()}

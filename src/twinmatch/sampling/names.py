@@ -9,7 +9,14 @@ from typing import NamedTuple, TypeVar
 from twinmatch.description import Quantity
 from twinmatch.dynamics import Plant
 from twinmatch.plants.records import description_of
-from twinmatch.sampling.sources import INPUT, OUTPUT, REFERENCE, TIME
+from twinmatch.sampling.channels import SamplingError
+from twinmatch.sampling.sources import (
+    INPUT,
+    OUTPUT,
+    REFERENCE,
+    TIME,
+    SignalSource,
+)
 from twinmatch.sessions.files import RecordingError
 
 _Value = TypeVar("_Value")
@@ -48,6 +55,34 @@ def signals_of(plant: type[Plant]) -> dict[str, Quantity]:
             strict=True,
         )
     )
+
+
+def turns_of(
+    plant: type[Plant], sources: Mapping[str, SignalSource]
+) -> dict[str, float]:
+    """What each mapped signal loses where it begins again, in the plant's unit; only of those that do.
+
+    The map says it, or the plant's file. A set-point is an angle if its output is one.
+
+    Raises:
+        SamplingError: such a signal is the mean of several places.
+    """
+    loop = LoopNames.of(plant)
+    turns = {name: source.turn for name, source in sources.items() if source.turn}
+    for name, output in zip(loop.outputs, plant.outputs.values(), strict=True):
+        if name in sources and output.turn:
+            turns.setdefault(name, output.turn)
+    for name, output_name in zip(loop.references, loop.outputs, strict=False):
+        turns.pop(name, None)
+        if name in sources and output_name in turns:
+            turns[name] = turns[output_name]
+    for name, turn in turns.items():
+        if not sources[name].formula and len(sources[name].separate) > 1:
+            raise SamplingError(
+                f"{name} begins again after {turn:.6g}, and is mapped to {sources[name].text}: the mean of "
+                "359 and 1 would be 180; map one of them"
+            )
+    return turns
 
 
 def accepted_names(plant: type[Plant]) -> dict[str, tuple[str, ...]]:

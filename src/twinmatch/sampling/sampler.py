@@ -22,6 +22,7 @@ import numpy as np
 from twinmatch.sampling.channels import SamplingError
 from twinmatch.sampling.names import LoopNames
 from twinmatch.sampling.sources import INPUT
+from twinmatch.sampling.turns import TurnCounter, beside
 from twinmatch.signals import NANOSECONDS, Sample, Signals
 
 TIMER: Final = "timer"
@@ -190,6 +191,7 @@ class Sampler:
         settle: float = 0.1,
         disturbances: Mapping[str, float] = _NONE,
         loop: LoopNames = LoopNames(),  # noqa: B008
+        turns: Mapping[str, float] = _NONE,
     ) -> None:
         """Start without values.
 
@@ -202,6 +204,8 @@ class Sampler:
             disturbances: default value of each of the plant's disturbances, in its order; used where a
                 disturbance is not mapped.
             loop: names of the references, outputs and inputs.
+            turns: what each signal loses that begins again, such as a heading; the turns of references are
+                those of their outputs.
 
         Raises:
             SamplingError: the settings allow no sampling.
@@ -227,6 +231,12 @@ class Sampler:
         self._disturbances = disturbances
         self._loop = loop
         self._commanded = paced_by in loop.inputs
+        self._turns = turns
+        self._turn_counters = {
+            name: TurnCounter(turn)
+            for name, turn in turns.items()
+            if name not in loop.references
+        }
         self._ticks: deque[_Tick] = deque()
         self._at_once = round(_AT_ONCE * self._step)
         self._paced: tuple[float, int] | None = None
@@ -247,6 +257,8 @@ class Sampler:
         self, name: str, value: float, stamp: int, now: int, *, retained: bool = False
     ) -> None:
         """Take a value; one of the pacing signal triggers a tick, unless it was `retained` since earlier."""
+        if name in self._turn_counters:
+            value = self._turn_counters[name].counted(value)
         self._buffers[name].push(value, stamp)
         if (
             name == self._pacer
@@ -344,10 +356,18 @@ class Sampler:
             self._first = number
             # Without mapped references the fields must still be finite.
             self._references = tuple(values[name] for name in outputs)
+        set_points = []
+        for name, output, stand_in in zip(
+            references, outputs, self._references, strict=False
+        ):
+            set_point = values.get(name, stand_in)
+            if name in values and name in self._turns:
+                set_point = beside(set_point, values[output], self._turns[name])
+            set_points.append(set_point)
         return Sample(
             number - self._first,
             time,
-            tuple(map(values.get, references, self._references)),
+            tuple(set_points),
             tuple(values[name] for name in outputs),
             tuple(values[name] for name in inputs),
             tuple(

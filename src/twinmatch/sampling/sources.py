@@ -16,9 +16,12 @@ or as YAML, which may also give the plant and the sampling period:
 
 A signal is scale · number + offset, converted from the given unit (by default the one in the column's title,
 or that of the message type) to the plant's. Several places give their mean. For topics, a place is
-TOPIC:FIELD, such as /joint_states:position[elbow]. The signals of a plant with several outputs or inputs have
-the names in its file, and the set-point of an output `y` is `y_reference`; in the order of the file they are
-also output.1, output.2, …, input.1, … and reference.1, ….
+TOPIC:FIELD, such as /joint_states:position[elbow]. Readings that begin again, as those of a compass after 360°,
+have a `turn`, in the plant's unit (`twinmatch.sampling.turns`).
+
+The signals of a plant with several outputs or inputs have the names in its file, and the set-point of an output
+`y` is `y_reference`; in the order of the file they are also output.1, output.2, …, input.1, … and
+reference.1, ….
 """
 
 from __future__ import annotations
@@ -80,6 +83,8 @@ class SignalSource:
     """What the formula calls each of the places; empty without a formula."""
     interval: Interval = "after"
     """Whether the number in a row of a table applies until the next row, or applied since the one before."""
+    turn: float = 0.0
+    """What the signal loses where it begins again, in the plant's unit; 0: as the plant file says."""
 
     @property
     def text(self) -> str:
@@ -102,6 +107,8 @@ class SignalSource:
             )
         if self.interval != "after":
             parts.append(f"interval={self.interval}")
+        if self.turn != 0:
+            parts.append(f"turn={self.turn:.12g}")
         parts += [f"{word}={number:g}" for word, number in self.words.items()]
         return "; ".join(parts)
 
@@ -385,7 +392,15 @@ def _is_misspelt(name: str) -> bool:
     )
 
 
-_SETTINGS: Final = ("unit", "scale", "offset", "missing", "interval", "column")
+_SETTINGS: Final = (
+    "unit",
+    "scale",
+    "offset",
+    "missing",
+    "interval",
+    "turn",
+    "column",
+)
 _OTHER_WORDS: Final = (
     "factor",
     "gain",
@@ -407,6 +422,7 @@ class _Source(msgspec.Struct, forbid_unknown_fields=True):
     offset: FiniteNumber = 0.0
     missing: FiniteNumber | list[FiniteNumber] = []
     interval: Interval = "after"
+    turn: FiniteNumber = 0.0
     words: dict[str, FiniteNumber] = {}
     names: dict[str, str] = {}
 
@@ -439,6 +455,10 @@ def source_of(place: str, entry: Any) -> SignalSource:
         raise RecordingError(
             f"{place}: scale is 0, which makes the whole column 0; give another"
         )
+    if source.turn < 0:
+        raise RecordingError(
+            f"{place}: turn is {source.turn:g}; give what the signal loses where it begins again, such as 360"
+        )
     missing = source.missing if isinstance(source.missing, list) else [source.missing]
     words = {word.lower(): number for word, number in source.words.items()}
     made = SignalSource(
@@ -449,6 +469,7 @@ def source_of(place: str, entry: Any) -> SignalSource:
         tuple(missing),
         words,
         interval=source.interval,
+        turn=source.turn,
     )
     return _with_formula(place, made, source.names) if source.names else made
 
