@@ -110,7 +110,7 @@ LATER = (
 )
 """What the start of a command that judges, or of the node that does, must not import: few runs need it."""
 OF_FILES = ("msgspec", "statistics", "difflib")
-"""What reads candidates of a file, mends a damaged session, and guesses what a mistyped name should be."""
+"""What reads candidates of a file, repairs a damaged session, and guesses what a mistyped name should be."""
 OF_A_MEMORY = ("twinmatch.memory", "twinmatch.controllers", "sqlite3")
 """What holds earlier sessions, and what was learned from them of laws."""
 DRAWING = ("twinmatch.showing.page", "twinmatch.showing.figures.elements")

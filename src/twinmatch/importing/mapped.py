@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -164,39 +165,27 @@ def map_samples(
         table, plant, replace(signal_map, sources=sources)
     )
     times = times_of(table, sources.get(TIME), signal_map.period)
-    try:
-        turns = turns_of(plant, sources)
-    except SamplingError as error:
-        raise RecordingError(f"{table.path}: {error}") from None
+    turns = _turns_of(table, plant, sources)
     kinds = {signal: properties.kind for signal, properties in signals.items()}
     table, times = in_rows(table, sources, without_means_of(kinds, turns), times)
-    values = {}
-    impossible_notes = []
-    for signal, properties in signals.items():
-        converted = _values(table, sources[signal], signal, properties)
-        values[signal] = without_impossible(converted, properties.unit)
-        impossible_notes += notes_on_impossible(
-            table, signal, converted, values[signal]
-        )
-    values = _with_turns_counted(plant, values, turns)
+    possible_values, impossible_notes = _possible_values(table, sources, signals)
+    values = _with_turns_counted(plant, possible_values, turns)
     rows, row_notes = _rows_with_values(table, times, values)
-    notes += [
-        *impossible_notes,
-        *row_notes,
-        *table.notes,
-        *notes_on_times(table, sources.get(TIME), times),
-    ]
+    notes += impossible_notes
+    notes += row_notes
+    notes += table.notes
+    notes += notes_on_times(table, sources.get(TIME), times)
     for signal, properties in signals.items():
         notes += check_range(table, signal, properties, values[signal], rows)
     angles = _Angles(plant, table, times.seconds, rows)
-    for signal in signals:
+    for signal, properties in signals.items():
         if signal in turns and signal not in LoopNames.of(plant).references:
             notes += angles.notes_on_gaps(signal, values[signal], turns[signal])
-        elif signals[signal].kind == "reading":
+        elif properties.kind == "reading":
             notes += angles.notes_on_beginnings(
-                signal, values[signal], signals[signal].unit, sources[signal]
+                signal, values[signal], properties.unit, sources[signal]
             )
-    try:
+    with _explained_by(impossible_notes):
         resampled = resample(
             times.seconds[rows],
             {signal: column[rows] for signal, column in values.items()},
@@ -207,27 +196,64 @@ def map_samples(
             place=str(table.path),
             row=lambda i: table.row_name(int(rows[i])),
         )
-    except RecordingError as error:
-        raise RecordingError(
-            " ".join([str(error), *(f"({note})" for note in impossible_notes)])
-        ) from None
     if signal_map.period is None:
         _require_pace(table, plant, resampled.period)
         notes += _note_on_fine_rows(plant, resampled.period)
-    notes.insert(0, resampled.sentence[0].upper() + resampled.sentence[1:] + ".")
-    start = (
-        EPOCH
-        if times.origin is None
-        else round((times.origin + float(resampled.time[0])) * 1e9)
-    )
-    has_reference = LoopNames.of(plant).references[0] in resampled.columns
+    how_resampled = resampled.sentence[0].upper() + resampled.sentence[1:] + "."
     return Mapped(
-        _samples(plant, resampled, start),
+        _samples(plant, resampled, _start_of(resampled, times)),
         resampled.period,
         sources,
-        has_reference,
-        notes,
+        LoopNames.of(plant).references[0] in resampled.columns,
+        [how_resampled, *notes],
     )
+
+
+def _turns_of(
+    table: Table, plant: type[Plant], sources: Mapping[str, SignalSource]
+) -> Mapping[str, float]:
+    """The turn of each signal that begins again after one.
+
+    Raises:
+        RecordingError: such a signal is the mean of several columns.
+    """
+    try:
+        return turns_of(plant, sources)
+    except SamplingError as error:
+        raise RecordingError(f"{table.path}: {error}") from None
+
+
+def _possible_values(
+    table: Table,
+    sources: Mapping[str, SignalSource],
+    signals: Mapping[str, PlantSignal],
+) -> tuple[dict[str, FloatArray], list[str]]:
+    """The values of signals in the plant's units, shape (N,) each, NaN where nothing can have read them; and notes on
+    these."""
+    values = {}
+    notes = []
+    for signal, properties in signals.items():
+        converted = _values(table, sources[signal], signal, properties)
+        values[signal] = without_impossible(converted, properties.unit)
+        notes += notes_on_impossible(table, signal, converted, values[signal])
+    return values, notes
+
+
+@contextmanager
+def _explained_by(notes: Sequence[str]) -> Iterator[None]:
+    """Add notes to an error: values that were taken out may be its reason."""
+    try:
+        yield
+    except RecordingError as error:
+        in_brackets = [f"({note})" for note in notes]
+        raise RecordingError(" ".join([str(error), *in_brackets])) from None
+
+
+def _start_of(resampled: Resampled, times: Times) -> int:
+    """The stamp of the first sample, ns since 1970."""
+    if times.origin is None:
+        return EPOCH
+    return round((times.origin + float(resampled.time[0])) * 1e9)
 
 
 class _Angles(NamedTuple):
@@ -261,12 +287,13 @@ class _Angles(NamedTuple):
         """A note on a signal that begins again after a turn, though neither plant file nor map say so."""
         name = " ".join((signal, *source.places))
         turn = shown_turn(values[self.rows], unit, name)
-        return [note_on_turn(signal, turn, signal in self.plant.disturbances)] * (
-            turn > 0
-        )
+        if turn <= 0.0:
+            return []
+        is_disturbance = signal in self.plant.disturbances
+        return [note_on_turn(signal, turn, is_disturbance=is_disturbance)]
 
 
-def note_on_turn(signal: str, turn: float, is_disturbance: bool) -> str:
+def note_on_turn(signal: str, turn: float, *, is_disturbance: bool) -> str:
     """What to write of a signal that begins again after a turn."""
     where = f"'{signal}=COLUMN; turn={turn:.6g}' in the map"
     if not is_disturbance:
