@@ -21,14 +21,9 @@ from tests.support.foreign_rig import CAPACITY, GAIN, TOPICS, Oven
 from tests.support.oven import HOLD, MAP, PERIOD, RIG, oven_file
 from tests.support.processes import Process, Processes, no_plant_files
 from tests.support.ros import Inside, Listener
+from twinmatch.nodes.foreign_topics import fields_of
 from twinmatch.nodes.messages import sample_from
-from twinmatch.nodes.topics import (
-    EVERYTHING,
-    NEWEST,
-    MessageTypeError,
-    fields_of,
-    message_class,
-)
+from twinmatch.nodes.topics import EVERYTHING, NEWEST, MessageTypeError, message_class
 from twinmatch.plants import find_plant
 from twinmatch.sampling.channels import Field
 from twinmatch.sampling.listener import SignalListener

@@ -107,6 +107,7 @@ LATER = (
     "mcap.reader",
     "mcap.writer",
     "twinmatch.importing.tables",
+    "twinmatch.sampling",
 )
 """What the start of a command that judges, or of the node that does, must not import: few runs need it."""
 OF_FILES = ("msgspec", "statistics", "difflib")

@@ -13,7 +13,8 @@ from std_msgs.msg import Float64
 
 from twinmatch.errors import TwinmatchError
 from twinmatch.nodes.expected import MESSAGES, MessageRules, check
-from twinmatch.nodes.topics import field_of, message_class
+from twinmatch.nodes.foreign_topics import field_of
+from twinmatch.nodes.topics import message_class
 from twinmatch.plants import Peltier
 
 NUMBERS = (

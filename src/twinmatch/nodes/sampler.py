@@ -8,10 +8,11 @@ from functools import partial
 from typing import Any, ClassVar
 
 from twinmatch.ending import end_in_order
+from twinmatch.nodes.foreign_topics import ForeignTopics
 from twinmatch.nodes.health import Level, Report
 from twinmatch.nodes.messages import sample_message
 from twinmatch.nodes.node import Missed, Readers, TwinmatchNode
-from twinmatch.nodes.topics import RELIABLE, ForeignTopics
+from twinmatch.nodes.topics import RELIABLE
 from twinmatch.parameters.declared import Setting
 from twinmatch.parameters.sampler import (
     listener_of,
