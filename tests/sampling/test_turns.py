@@ -232,6 +232,22 @@ def test_counted_turns_are_not_beyond_the_span() -> None:
     assert refusals.settle(far).refused == ()
 
 
+@pytest.mark.parametrize(
+    ("plant", "is_refused"), [(Ship, False), (UncountedShip, True)]
+)
+def test_no_counted_reading_is_one_that_the_ship_cannot_have_reached(
+    tmp_path: Path, plant: type[Ship], *, is_refused: bool
+) -> None:
+    """Where turns are not counted, the way from 359.9° to 0.4° is that of a sensor that fails."""
+    written_course(tmp_path / "log.csv")
+    run = imported(tmp_path / "log.csv", [*MAP[:2], *MAP[3:]], plant=plant)
+    twin = plant.model().parameters()
+    refusals = Refusals(HealthSettings(reference=twin, period=1.0), 3)
+    refusals.know(twin)
+    settled = [refusals.settle(sample) for sample in run.samples]
+    assert any(sample.refused for sample in settled) == is_refused
+
+
 def test_a_candidate_is_remembered_with_the_turns_that_were_counted(
     tmp_path: Path,
 ) -> None:
