@@ -364,7 +364,7 @@ WAITING = """
 import runpy, sys
 from twinmatch.compiled import before_kernels, told
 told.append(lambda name: print("needs", name, flush=True))
-before_kernels.append(lambda: print("compiles", flush=True))
+before_kernels.append(lambda: print("not on disk", flush=True))
 sys.path.insert(0, {folder!r})
 runpy.run_path({entry!r}, run_name="__main__")
 """
@@ -389,7 +389,7 @@ def test_a_kernel_that_another_process_compiles_is_waited_for_and_taken(
         shutil.move(aside / file.name, file)
     other.give_back()
     assert process.wait() == 0, process.text
-    assert process.lines == ["needs entry", "7.0 kept"]
+    assert process.lines == ["not on disk", "needs entry", "7.0 kept"]
 
 
 def test_a_process_compiles_what_another_one_gave_up(tmp_path: Path) -> None:
@@ -402,7 +402,12 @@ def test_a_process_compiles_what_another_one_gave_up(tmp_path: Path) -> None:
     process.said("^needs entry$")
     other.give_back()
     assert process.wait() == 0, process.text
-    assert process.lines == ["needs entry", "compiles", "needs entry", "7.0 compiled"]
+    assert process.lines == [
+        "not on disk",
+        "needs entry",
+        "needs entry",
+        "7.0 compiled",
+    ]
 
 
 def start_waiting(folder: Path) -> Process:

@@ -53,6 +53,32 @@ if __name__ == "__main__":
 """
 
 
+COPIED = """
+import sys, threading
+from twinmatch.cli.prepare import compile_beside
+from twinmatch.compiled import before_kernels, told
+from twinmatch.errors import TwinmatchError
+
+is_known = False
+
+def say():
+    print("a copy" if is_known else "a new one", len(told), len(before_kernels), flush=True)
+
+def fail():
+    raise TwinmatchError("these equations cannot be used")
+
+if __name__ == "__main__":
+    is_known = True
+    told.append(print)
+    before_kernels.append(print)
+    if sys.argv[1] == "threads":
+        threading.Thread(target=threading.Event().wait, daemon=True).start()
+    process = compile_beside(say, fail)
+    process.join()
+    print(process.exitcode, len(told), len(before_kernels))
+"""
+
+
 SECOND_COMPILER = """
 import multiprocessing, signal
 from twinmatch.cli.prepare import second_compiler
@@ -113,6 +139,22 @@ def processes_said_by(name: str, folder: Path) -> list[str]:
     )
     assert process.wait() == 0, process.text
     return process.lines
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux")
+@pytest.mark.parametrize(
+    ("threads", "kind"), [("alone", "a copy"), ("threads", "a new one")]
+)
+def test_what_compiles_beside_is_a_copy_unless_a_thread_may_hold_a_lock(
+    threads: str, kind: str, tmp_path: Path
+) -> None:
+    """It tells nothing, starts no other process, and leaves errors to the process that needs what it compiles."""
+    script = tmp_path / "prepare.py"
+    script.write_text(COPIED)
+    words = (sys.executable, script, threads)
+    process = Process(*words, output=tmp_path / "said.txt")
+    assert process.wait() == 0, process.text
+    assert process.lines == [f"{kind} 0 0", "0 1 1"]
 
 
 def test_ctrl_c_does_not_reach_what_compiles_beside(tmp_path: Path) -> None:

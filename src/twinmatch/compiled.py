@@ -79,7 +79,7 @@ _load_lapack()
 told: Final[list[Callable[[str], None]]] = []
 """Those that want to know what is compiled now."""
 before_kernels: Final[list[Callable[[], None]]] = []
-"""Called before a kernel is compiled, by the thread that compiles it."""
+"""Called before a kernel that is not on disk is compiled or waited for, by the thread that needs it."""
 
 _HOW: Final = b"".join(
     hash_of_file(module.__file__)
@@ -180,8 +180,6 @@ def _compile_in_turn(
     return_type: Any,  # noqa: ARG001
 ) -> Any:
     """An entry point from Python; the turn ends when it is kept on disk, or could not be compiled."""
-    for begin in before_kernels:
-        begin()
     _tell(part.py_func)
     try:
         return _compile_entry(part, addressed, args)
@@ -235,6 +233,9 @@ class _Cache:
         kernel = self._kept.load(signature, target_context)
         if kernel is not None:
             return kernel
+        # not within a turn, which a copy of this process would have, too
+        for begin in before_kernels:
+            begin()
         self._turn.take(self._kept.cache_path, functools.partial(_tell, self._function))
         # another process may have compiled it in the meantime
         kernel = self._kept.load_overload(signature, target_context)

@@ -10,8 +10,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import itertools
-import pickle
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from types import FunctionType
 from typing import Any, Final
@@ -58,7 +56,7 @@ from numba.core.caching import (  # noqa: E402
 )
 from numba.core.codegen import JITCodeLibrary  # noqa: E402
 from numba.core.cpu import CPUContext  # noqa: E402
-from numba.core.environment import Environment, lookup_environment  # noqa: E402
+from numba.core.environment import _rebuild_env  # noqa: E402
 from numba.core.registry import cpu_target  # noqa: E402
 from numba.core.runtime import rtsys  # noqa: E402
 from numba.core.runtime.context import NRTContext  # noqa: E402
@@ -135,9 +133,6 @@ def _set_all(attributes: Iterable[tuple[Any, str, Any]]) -> None:
 
 _find_call_type: Final = types.Function.get_call_type
 
-_CALL_TYPES: Final[dict[tuple[Any, ...], Any]] = {}
-"""The signatures of what parts call of numba's own, by function, context and types of the arguments."""
-
 
 def _call_type(function: Any, context: Any, arguments: Any, keywords: Any) -> Any:
     """The signature of one of numba's functions or operators for these arguments.
@@ -147,10 +142,12 @@ def _call_type(function: Any, context: Any, arguments: Any, keywords: Any) -> An
     """
     if keywords:
         return _find_call_type(function, context, arguments, keywords)
-    kind = (function, context, arguments)
-    if kind not in _CALL_TYPES:
-        _CALL_TYPES[kind] = _find_call_type(function, context, arguments, keywords)
-    return _CALL_TYPES[kind]
+    return _call_type_of_kinds(function, context, arguments)
+
+
+@functools.cache
+def _call_type_of_kinds(function: Any, context: Any, kinds: tuple[Any, ...]) -> Any:
+    return _find_call_type(function, context, kinds, {})
 
 
 def _references(
@@ -161,25 +158,15 @@ def _references(
     numba takes all numbers out of a value to look for references in them, too: seven and more of each array, which is
     a fifth of the instructions of parts.
     """
-    model = _model(kind)
+    layouts = cpu_target.target_context.data_model_manager
+    layout = layouts[kind]
     references = []
-    if model.has_nrt_meminfo():
-        references.append((kind, model.get_nrt_meminfo(builder, value)))
-    for member_kind, member in model.traverse(builder):
-        if _holds_references(member_kind):
+    if layout.has_nrt_meminfo():
+        references.append((kind, layout.get_nrt_meminfo(builder, value)))
+    for member_kind, member in layout.traverse(builder):
+        if layouts[member_kind].contains_nrt_meminfo():
             references += _references(counter, builder, member_kind, member(value))
     return references
-
-
-def _model(kind: Any) -> Any:
-    """How numba lays out values of a type."""
-    return cpu_target.target_context.data_model_manager[kind]
-
-
-@functools.cache
-def _holds_references(kind: Any) -> bool:
-    """Whether values of a type hold counted references."""
-    return bool(_model(kind).contains_nrt_meminfo())
 
 
 class _Part(JITCodeLibrary):
@@ -204,7 +191,8 @@ class _Part(JITCodeLibrary):
     def _get_module_for_linking(self) -> Any:
         """Its functions with all that they call, for kernels of others."""
         module = self.module().clone()
-        _link_all(module, _called_by(self))
+        _, *called = _callers_first(self)
+        _link_all(module, called)
         return module
 
     def get_pointer_to_function(self, name: str) -> int:  # noqa: ARG002
@@ -212,26 +200,24 @@ class _Part(JITCodeLibrary):
         return 0
 
 
-def _called_by(part: _Part) -> list[Any]:
-    """The libraries of all functions that a part calls, whether directly or not, callers first.
+def _callers_first(part: _Part) -> list[Any]:
+    """The libraries of a part and of all functions that it calls, whether directly or not.
 
     LLVM links only those functions of a module that are called from what it has linked before.
     """
-    callees_first: list[Any] = []
-    visited = set()
+    return [*_callees_first(part, set())][::-1]
 
-    def visit(library: Any) -> None:
-        if library in visited:
-            return
-        visited.add(library)
-        # another library, such as numba's runtime, holds all that it calls
-        if isinstance(library, _Part):
-            for callee in library._linking_libraries:
-                visit(callee)
-        callees_first.append(library)
 
-    visit(part)
-    return callees_first[-2::-1]
+def _callees_first(library: Any, visited: set[Any]) -> Iterator[Any]:
+    """A library, if it was not visited before, behind those of all functions that it calls."""
+    if library in visited:
+        return
+    visited.add(library)
+    # another library, such as numba's runtime, holds all that it calls
+    if isinstance(library, _Part):
+        for callee in library._linking_libraries:
+            yield from _callees_first(callee, visited)
+    yield library
 
 
 def _link_all(module: Any, libraries: list[Any]) -> None:
@@ -247,7 +233,7 @@ class _EntryPoint(JITCodeLibrary):
 
     def link(self, part: _Part) -> None:
         """Link a part with all that it calls, each function once."""
-        _link_all(self._final_module, [part, *_called_by(part)])
+        _link_all(self._final_module, _callers_first(part))
 
     def _optimize_final_module(self) -> None:
         counting = llvmlite.binding.parse_assembly(str(counting_module()))
@@ -284,15 +270,14 @@ def entry_point(part: Any, *, addressed: bool) -> Any:
 class _KernelFiles(CompileResultCacheImpl):
     def __init__(self, function: FunctionType, stamp: Callable[[], str]) -> None:
         super().__init__(function)
-        self._locator: Any = _Stamped(super().locator, stamp)
+        self.locator.get_source_stamp = stamp
 
     def reduce(self, result: Any) -> tuple[Any, ...]:
         """As numba's, but without references to the modules of the functions inside a kernel."""
         *whole, inner = super().reduce(result)
-        return (
-            *whole,
-            [(env.globals["__name__"], env.consts, env.env_name) for env in inner],
-        )
+        return *whole, [
+            (environment.consts, environment.env_name) for environment in inner
+        ]
 
     def rebuild(self, target_context: Any, reduced: tuple[Any, ...]) -> Any:
         """The kernel, ready to be called: three times as fast as numba, which imports the modules of all
@@ -307,31 +292,12 @@ class _KernelFiles(CompileResultCacheImpl):
         )
 
 
-def _environment(module: str, constants: list[Any], name: str) -> Environment:
-    """The environment of a function inside a kernel."""
-    environment = lookup_environment(name)
-    if environment is None:
-        names = (
-            vars(sys.modules[module]) if module in sys.modules else {"__name__": module}
-        )
-        environment = Environment(names)
-        environment.env_name = name
-        Environment._memo[name] = environment
-    if len(constants) > len(environment.consts):
-        # an entry point adds those of its results
-        environment.consts[:] = constants
+def _environment(constants: list[Any], name: str) -> Any:
+    """The environment of a function inside a kernel, whose module nothing asks for."""
+    environment = _rebuild_env(__name__, constants, name)
+    # an entry point adds those of its results
+    environment.consts[:] = max(environment.consts, constants, key=len)
     return environment
-
-
-class _Stamped:
-    """numba's cache location of a kernel, with another stamp."""
-
-    def __init__(self, locator: Any, stamp: Callable[[], str]) -> None:
-        self._locator = locator
-        self.get_source_stamp = stamp
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._locator, name)
 
 
 class KernelCache(FunctionCache):
@@ -356,24 +322,15 @@ class KernelCache(FunctionCache):
         self._impl_class = functools.partial(_KernelFiles, stamp=stamp)
         super().__init__(function)
         self._fields = fields
-        self._read_index = self._cache_file._load_index
-        self._cache_file._load_index = self._index
 
     def load(self, signature: Any, target_context: Any) -> Any:
         """A kept kernel, without numba's compiler, which it loads first: a fifth of a second; None if there is none."""
         rtsys.initialize(target_context)
         return self._load_overload(signature, target_context)
 
-    def _index(self) -> dict[Any, Any]:
-        """What is cached; nothing if the index names a class of arguments of another version."""
-        try:
-            index: dict[Any, Any] = self._read_index()
-        except (AttributeError, ImportError, pickle.UnpicklingError):
-            return {}
-        return index
-
     def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
-        return (
-            *super()._index_key(signature, codegen),
-            tuple(self._fields(signature)),
-        )
+        """Names only: a class of arguments that is gone would keep numba from reading its index.
+
+        What the kernel is made of is in the stamp.
+        """
+        return str(signature), codegen.magic_tuple(), tuple(self._fields(signature))

@@ -448,7 +448,7 @@ class Bare(LiveRun):
 
 def launcher() -> type[Watch]:
     console = Console(file=io.StringIO(), force_terminal=True, width=140, height=50)
-    run = Bare(Live(LivePlan(Path("rig.yaml")), console), Screen(console, "live"))
+    run = Bare(Live(LivePlan(Path("rig.yaml"))), Screen(console, "live"))
     return type("LiveWatch", (Watch,), {"NAME": "live_watch", "supervised": run})
 
 

@@ -169,6 +169,11 @@ def test_a_report_without_a_memory_imports_none() -> None:
     assert imported_with("twinmatch.cli.report", OF_A_MEMORY) == "[]\n"
 
 
+def test_a_graph_without_a_terminal_imports_nothing_that_draws_on_one() -> None:
+    pytest.importorskip("rclpy")
+    assert imported_with("twinmatch.launching.live", ("rich", "rich.console")) == "[]\n"
+
+
 def imported_with(module: str, names: tuple[str, ...]) -> str:
     """Which of these modules are imported with another one, as printed."""
     program = f"import sys, {module}; print(sorted(set({names}) & set(sys.modules)))"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import sys
 from collections.abc import Sequence
 
 import pytest
@@ -16,7 +17,8 @@ from twinmatch.showing.console import Console
 from twinmatch.showing.family import FIGURES
 from twinmatch.showing.lines import Lines
 from twinmatch.showing.quantities import number, parameter_format
-from twinmatch.showing.terminal import Screen, view_on
+from twinmatch.showing.terminal import Screen
+from twinmatch.showing.view import view_of
 from twinmatch.twin import TwinSettings
 
 LOST = 640
@@ -196,8 +198,10 @@ def test_a_line_of_somebody_else_stands_above_the_view(judged: Judgement) -> Non
     assert text.rindex("[twin] word") < text.rindex("plant time 0:05:00 h, 300 samples")
 
 
-def test_only_a_terminal_gets_the_view() -> None:
-    assert isinstance(view_on(Console(file=io.StringIO()), "run"), Lines)
-    assert isinstance(
-        view_on(Console(file=io.StringIO(), force_terminal=True), "run"), Lines
-    )
+def test_only_a_terminal_gets_the_view(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert isinstance(view_of("run"), Lines)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    assert isinstance(view_of("run"), Screen)
+    monkeypatch.setenv("TERM", "dumb")
+    assert isinstance(view_of("run"), Lines)

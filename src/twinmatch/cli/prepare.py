@@ -8,14 +8,15 @@ import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from twinmatch.cli.shared import Progress
-from twinmatch.compiled import before_kernels
+from twinmatch.compiled import before_kernels, told
 from twinmatch.dynamics import Plant
-from twinmatch.dynamics.prepare import prepare
+from twinmatch.dynamics.prepare import derived_models, prepare
+from twinmatch.errors import TwinmatchError
 from twinmatch.kept import cache_folder
-from twinmatch.offline.processes import cores, end_with_parent
+from twinmatch.offline.processes import can_be_copied, cores, end_with_parent
 from twinmatch.plants import PLANTS, find_plant
 from twinmatch.signals import FloatArray
 
@@ -50,14 +51,15 @@ def run(options: argparse.Namespace) -> int:
 def _compile_all() -> int:
     """Compile all that comes with twinmatch; returns the exit code.
 
-    A compiler uses one core, so two processes compile. The engine uses what the other one compiles, and waits
-    for it kernel by kernel.
+    A compiler uses one core, so two processes compile, and what shares parts is compiled by one of them. The engine
+    uses what the other one compiles, and waits for it kernel by kernel.
     """
-    others = compile_beside(compare_models, judge_channels)
-    derive_plants(PLANTS.values())
+    others = compile_beside(compare_models, derive_equations)
     judge_a_loop()
+    judge_channels()
     search_once()
     others.join()
+    derive_plants(PLANTS.values())
     return others.exitcode or 0
 
 
@@ -90,14 +92,14 @@ def second_compiler(*uses: Callable[[], object]) -> Iterator[None]:
 def compile_beside(*uses: Callable[[], object]) -> BaseProcess:
     """A process of its own for the kernels that these functions use, in turn.
 
-    It ends with this one, also if this one is killed; Ctrl-C is handled by this one only.
+    It ends with this one, also if this one is killed; Ctrl-C is handled by this one only. It is a copy of this one,
+    which has imported what both need, unless another thread may hold a lock that the copy would wait for.
     """
     import multiprocessing  # noqa: PLC0415
     from multiprocessing import resource_tracker  # noqa: PLC0415
 
-    process = multiprocessing.get_context("spawn").Process(
-        target=_use, args=(uses,), daemon=True
-    )
+    context: Any = multiprocessing.get_context("fork" if can_be_copied() else "spawn")
+    process: BaseProcess = context.Process(target=_use, args=(uses,), daemon=True)
     # Python starts it with the first process, and unblocks the signal then
     resource_tracker.ensure_running()
     # inherited by the new process
@@ -111,8 +113,13 @@ def compile_beside(*uses: Callable[[], object]) -> BaseProcess:
 
 def _use(uses: Iterable[Callable[[], object]]) -> None:
     end_with_parent()
-    for use in uses:
-        use()
+    # only the process that was copied tells what is compiled, and has a second one
+    told.clear()
+    before_kernels.clear()
+    # what cannot be compiled is an error of the process that needs it
+    with contextlib.suppress(TwinmatchError):
+        for use in uses:
+            use()
 
 
 def derive_plants(plants: Iterable[type[Plant]]) -> None:
@@ -120,6 +127,13 @@ def derive_plants(plants: Iterable[type[Plant]]) -> None:
     for plant in plants:
         count = sum(1 for _ in prepare(plant))
         print(f"{plant.title}: {count} structures are ready in {cache_folder()}")
+
+
+def derive_equations() -> None:
+    """Derive and compile the equations of all plants."""
+    for plant in PLANTS.values():
+        for _ in derived_models(plant):
+            pass
 
 
 def compare_models() -> None:

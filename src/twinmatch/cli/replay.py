@@ -29,7 +29,7 @@ from twinmatch.offline.processes import held_interrupts
 from twinmatch.plants import plant_named
 from twinmatch.sessions import Session
 from twinmatch.showing.family import GAIN, GAP_NOW, GAP_SUM
-from twinmatch.showing.lines import Lines, redraws
+from twinmatch.showing.lines import Lines
 from twinmatch.showing.quantities import (
     ParameterFormat,
     ShownSignal,
@@ -40,6 +40,7 @@ from twinmatch.showing.quantities import (
     shown_outputs,
 )
 from twinmatch.showing.summary import closing_lines, document
+from twinmatch.showing.view import view_of
 from twinmatch.signals import Sample, point_text
 from twinmatch.twin import Outcome, Twin
 
@@ -125,13 +126,7 @@ def _display(
     """A screen on a terminal; elsewhere lines, with a progress bar on standard error."""
     samples_judged = 0
     total = len(session.samples)
-    redrawn = redraws(sys.stdout)
-    view: Screen | Lines = Lines(session.period)
-    if redrawn:
-        from twinmatch.showing.console import Console  # noqa: PLC0415
-        from twinmatch.showing.terminal import Screen  # noqa: PLC0415
-
-        view = Screen(Console(), session.name, session.period, total)
+    view = view_of(session.name, session.period, total)
 
     def advance(_twin: Twin, _sample: Sample, outcome: Outcome) -> None:
         nonlocal samples_judged
@@ -144,7 +139,7 @@ def _display(
         if bar is not None and samples_judged % 50 == 0:
             bar.advance(samples_judged, total)
 
-    bar = None if redrawn else Progress()
+    bar = Progress() if isinstance(view, Lines) else None
     with bar or nullcontext():
         view.open()
         try:

@@ -24,6 +24,19 @@ from twinmatch.signals import Window
 _SAMPLES = 8
 
 
+def derived_models(plant: type[Plant]) -> Iterator[Model]:
+    """The structures of a plant whose equations are in its file, each when its equations are compiled.
+
+    Raises:
+        PlantError: the equations cannot be used, or the cache folder cannot be written.
+    """
+    for name, structure in plant.structures.items():
+        if structure.external is None:
+            model = plant.model(name)
+            model.kernels  # noqa: B018
+            yield model
+
+
 def prepare(plant: type[Plant]) -> Iterator[Model]:
     """Compile all structures of a plant, one at a time; each is yielded when it is ready.
 
@@ -34,15 +47,8 @@ def prepare(plant: type[Plant]) -> Iterator[Model]:
         PlantError: the equations cannot be used, or the cache folder cannot be written.
     """
     single = len(plant.outputs) == len(plant.drives) == 1
-    local_structures = [
-        name
-        for name, structure in plant.structures.items()
-        if structure.external is None
-    ]
-    for name in local_structures:
-        model = plant.model(name)
-        model.kernels  # noqa: B018
-        if single and name == local_structures[0]:
+    for place, model in enumerate(derived_models(plant)):
+        if single and place == 0:
             _use(model.parameters())
         yield model
 

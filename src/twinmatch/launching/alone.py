@@ -30,10 +30,9 @@ from twinmatch.sessions.cdr import encode, encode_sample
 from twinmatch.sessions.messages import SAMPLE, topic_named
 from twinmatch.sessions.metadata import CANDIDATES, parameters_record
 from twinmatch.sessions.recording import FLUSH
-from twinmatch.showing.console import Console
 from twinmatch.showing.page.goal import Goal
 from twinmatch.showing.page.health import kind_of
-from twinmatch.showing.terminal import view_on
+from twinmatch.showing.view import view_of
 from twinmatch.signals import Sample
 from twinmatch.twin import TwinSettings
 
@@ -144,7 +143,7 @@ class Alone:
     def _open(
         self, plan: AlonePlan, opened: Open, candidates: Sequence[Candidate]
     ) -> None:
-        self._view = view_on(Console(soft_wrap=True), "live", plan.settings.period)
+        self._view = view_of("live", plan.settings.period)
         for _ in prepare(plan.settings.plant):
             # a compiler beside the samples would cost some of them
             pass

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
 
@@ -29,13 +29,15 @@ from twinmatch.offline.summary import SessionSummary
 from twinmatch.parameters.twin import read_settings
 from twinmatch.printing import one_line
 from twinmatch.sessions.files import EXIT_DISK
-from twinmatch.showing.console import Console
 from twinmatch.showing.lines import Lines
 from twinmatch.showing.page.health import MAX_NODES, kind_of
-from twinmatch.showing.terminal import Screen, view_on
+from twinmatch.showing.view import view_of
 from twinmatch.signals import Sample
 from twinmatch.twin import Door, TwinSettings
 from twinmatch_msgs.msg import LoopSample
+
+if TYPE_CHECKING:
+    from twinmatch.showing.terminal import Screen
 
 EXIT_LOST = 3
 """Exit code when a process that cannot be restarted was lost; the output is off then."""
@@ -55,7 +57,6 @@ class Live:
     """Most samples that wait for verdicts; a discriminator that is so far behind is lost."""
 
     plan: LivePlan
-    console: Console = field(default_factory=lambda: Console(soft_wrap=True))
     door: Door = field(default_factory=lambda: Door(TwinSettings()))
     """Settles the samples; before the first one it is replaced by one with the settings of the twin."""
     results: RunResults = field(default_factory=RunResults)
@@ -112,7 +113,7 @@ def _run_live(live: Live) -> int:
             f"but this run is of plant {live.plan.plant}; give another --twin-config"
         )
     live.door = Door(settings)
-    view = view_on(live.console, "live", settings.period)
+    view = view_of("live", settings.period)
     with lease(PATIENCE if live.plan.in_step else None):
         code = LiveRun(live, view).run()
     for session in filter(Path.exists, live.sessions):

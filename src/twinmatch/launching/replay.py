@@ -6,7 +6,7 @@ import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from twinmatch.comparing import Verdict
 from twinmatch.errors import EXIT_INTERRUPTED
@@ -18,11 +18,13 @@ from twinmatch.offline.summary import SessionSummary, summarise
 from twinmatch.parameters.twin import UNKNOWN
 from twinmatch.plants import written_name
 from twinmatch.sessions import Session, samples_of, write_session
-from twinmatch.showing.console import Console
 from twinmatch.showing.lines import Lines
 from twinmatch.showing.summary import closing_lines
-from twinmatch.showing.terminal import Screen, view_on
+from twinmatch.showing.view import view_of
 from twinmatch.twin import MatchReport, TwinSettings, filled_stretches
+
+if TYPE_CHECKING:
+    from twinmatch.showing.terminal import Screen
 
 READERS = "twin_simulator discriminator keeper"
 """Nodes that must receive every sample."""
@@ -37,7 +39,6 @@ class Replay:
     """Recorded seconds per second; 0: as fast as possible."""
     candidates: Path | None = None
     config: Path | None = None
-    console: Console = field(default_factory=lambda: Console(soft_wrap=True))
     verdicts: list[Verdict] = field(default_factory=list)
     matches: list[MatchReport] = field(default_factory=list)
     summary: SessionSummary | None = None
@@ -55,9 +56,7 @@ def play(replay: Replay) -> int:
     settings = terms_from_files(session, replay.config).settings
     with tempfile.TemporaryDirectory(prefix="twinmatch-") as folder:
         playable = _playable(session, Path(folder))
-        view = view_on(
-            replay.console, session.name, settings.period, len(session.samples)
-        )
+        view = view_of(session.name, settings.period, len(session.samples))
         code = _ReplayRun(replay, settings, playable, view).run()
     if code == 0 and not replay.whole:
         view.say(f"interrupted after {len(replay.verdicts)} verdicts")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 
@@ -15,9 +15,11 @@ from twinmatch.nodes.node import TwinmatchNode
 from twinmatch.nodes.runner import run
 from twinmatch.nodes.topics import EVERYTHING
 from twinmatch.showing.lines import Lines
-from twinmatch.showing.terminal import Screen
 from twinmatch.twin import MatchReport
 from twinmatch_msgs.msg import Match, ModelScore
+
+if TYPE_CHECKING:
+    from twinmatch.showing.terminal import Screen
 
 
 class Settled:

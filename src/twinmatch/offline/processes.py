@@ -76,6 +76,11 @@ def cores() -> int:
     )
 
 
+def can_be_copied() -> bool:
+    """Whether this process can be forked: no other thread may hold a lock that the copy would wait for."""
+    return sys.platform == "linux" and threading.active_count() == 1
+
+
 @contextlib.contextmanager
 def pool(processes: int, *, forked: bool = False) -> Iterator[ProcessPoolExecutor]:
     """This many processes; they are terminated at once if the block is left by an exception.
@@ -166,12 +171,7 @@ class Beside:
 def beside(*, possible: bool = True) -> Iterator[Beside]:
     """A second process, a copy of this one; none on a single core, where it is not `possible`, or if another
     thread may hold a lock that the copy would wait for."""
-    if not (
-        possible
-        and sys.platform == "linux"
-        and cores() > 1
-        and threading.active_count() == 1
-    ):
+    if not (possible and cores() > 1 and can_be_copied()):
         yield Beside()
         return
     with pool(1, forked=True) as second:

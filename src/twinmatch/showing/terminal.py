@@ -29,7 +29,7 @@ from twinmatch.showing.family import (
     chosen_score,
     family_table_of,
 )
-from twinmatch.showing.lines import STYLES, Lines, redraws
+from twinmatch.showing.lines import STYLES
 from twinmatch.showing.quantities import ParameterFormat, number, percent, point_number
 from twinmatch.showing.verdicts import (
     Event,
@@ -241,16 +241,6 @@ class Screen:
                 break
             shown = lines + shown
         return [[], *shown] if shown else []
-
-
-def view_on(
-    console: Console, title: str, period: float = 1.0, total: int | None = None
-) -> Screen | Lines:
-    """A view that is redrawn where the console supports it, otherwise lines."""
-    if console.is_terminal and redraws(console.file):
-        # A separate console: the given one may not wrap and would draw past the terminal's edge.
-        return Screen(Console(file=console.file), title, period, total)
-    return Lines(period, console)
 
 
 def _headline(verdict: Verdict | None, period: float) -> RenderableType:
