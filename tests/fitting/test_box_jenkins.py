@@ -462,6 +462,17 @@ def test_derivatives_are_those_of_differences(case: tuple[Task, FloatArray]) -> 
         np.testing.assert_allclose(hessian[:, i], column, atol=1e-3 * size)
 
 
+def test_a_ladder_begins_like_an_estimate_of_its_lowest_order() -> None:
+    """What its orders share is that of their delay."""
+    u, y = two_tones(3)
+    ladder = estimate_ladder(u, y, ["21120", "21121"], hops=0)
+    for order, model in ladder.items():
+        below = ladder["21120"] if order == "21121" else None
+        covered = below is not None and parse_order(order).covers(below.order)
+        alone = estimate(u, y, order, hops=0, start=below if covered else None)
+        assert model.coefficients.tobytes() == alone.coefficients.tobytes()
+
+
 # On the real rig: r → y and r → u, windows that begin in the middle of a transient.
 
 Hour = Callable[[int], Window]

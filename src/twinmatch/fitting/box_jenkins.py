@@ -247,20 +247,12 @@ def estimate(
     u, y = checked_pair(u, y)
     parsed = parse_order(order)
     task = _task(u, y, parsed, initial)
-    if hops is None:
-        shared = min(max(HOPPED // u.size, HOPS[0]), HOPS[1])
-        hops = shared // max(parsed.nc + parsed.nd + parsed.nf, 1)
-    if hops < 0:
-        raise FittingError(f"hops: {hops} starts requested; give 0 or more")
-    thetas = list(start_values(u, y, task.counts))
-    if start is not None:
-        if not parsed.covers(start.order):
-            raise FittingError(
-                f"start: a model of order {start.order} cannot start one of order {parsed}; give a lower one"
-            )
-        # Inserted first: the lower the cost to beat, the sooner the other starts are abandoned.
-        thetas.insert(0, _pad(start, parsed))
-    return _model(task, parsed, _best(task, parsed, thetas, hops), period)
+    if start is not None and not parsed.covers(start.order):
+        raise FittingError(
+            f"start: a model of order {start.order} cannot start one of order {parsed}; give a lower one"
+        )
+    (thetas,) = _starts(u, y, [parsed])
+    return _estimated(task, parsed, thetas, start, hops=hops, period=period)
 
 
 def estimate_ladder(
@@ -279,15 +271,52 @@ def estimate_ladder(
 
     Arguments and errors as for `estimate`; the keys are the orders as strings, in the given order.
     """
+    u, y = checked_pair(u, y)
+    parsed_orders = [parse_order(order) for order in orders]
+    tasks = [_task(u, y, order, initial) for order in parsed_orders]
+    starts = _starts(u, y, parsed_orders)
     models: dict[str, BoxJenkins] = {}
-    for order in orders:
-        parsed = parse_order(order)
-        below = [model for model in models.values() if parsed.covers(model.order)]
+    for order, task, thetas in zip(parsed_orders, tasks, starts, strict=True):
+        below = [model for model in models.values() if order.covers(model.order)]
         start = min(below, key=lambda model: model.variance, default=None)
-        models[str(parsed)] = estimate(
-            u, y, parsed, initial=initial, start=start, hops=hops, period=period
+        models[str(order)] = _estimated(
+            task, order, thetas, start, hops=hops, period=period
         )
     return models
+
+
+def _starts(
+    u: FloatArray, y: FloatArray, orders: Sequence[Order]
+) -> list[list[FloatArray]]:
+    """The starts that the window gives for every order."""
+    if not orders:
+        return []
+    thetas_of_orders = start_values(u, y, np.array(orders, dtype=np.int64))
+    return [
+        [theta[: order.nc + order.nd + order.nf].copy() for theta in thetas]
+        for order, thetas in zip(orders, thetas_of_orders, strict=True)
+    ]
+
+
+def _estimated(
+    task: Task,
+    order: Order,
+    thetas: list[FloatArray],
+    start: BoxJenkins | None,
+    *,
+    hops: int | None,
+    period: float,
+) -> BoxJenkins:
+    """The model of this order, from `start` and from other starts θ."""
+    if hops is None:
+        shared = min(max(HOPPED // task.u.size, HOPS[0]), HOPS[1])
+        hops = shared // max(order.nc + order.nd + order.nf, 1)
+    if hops < 0:
+        raise FittingError(f"hops: {hops} starts requested; give 0 or more")
+    if start is not None:
+        # First: the lower the cost to beat, the sooner the other starts are abandoned.
+        thetas = [_pad(start, order), *thetas]
+    return _model(task, order, _best(task, order, thetas, hops), period)
 
 
 def _task(u: FloatArray, y: FloatArray, order: Order, initial: str) -> Task:
