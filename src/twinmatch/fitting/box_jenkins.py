@@ -40,8 +40,8 @@ Outcome = tuple[Place, bool, int]
 
 ROUTE = 50
 """Largest number of steps from a start; the search then continues from the best."""
-COARSE = 1e-6
-"""`Rules.settled` for the starts."""
+COARSE = 1e-5
+"""`Rules.settled` for the starts: what remains to their minimum is for the final search."""
 
 
 class Ends(NamedTuple):
@@ -247,20 +247,12 @@ def estimate(
     u, y = checked_pair(u, y)
     parsed = parse_order(order)
     task = _task(u, y, parsed, initial)
-    if hops is None:
-        shared = min(max(HOPPED // u.size, HOPS[0]), HOPS[1])
-        hops = shared // max(parsed.nc + parsed.nd + parsed.nf, 1)
-    if hops < 0:
-        raise FittingError(f"hops: {hops} starts requested; give 0 or more")
-    thetas = list(start_values(u, y, task.counts))
-    if start is not None:
-        if not parsed.covers(start.order):
-            raise FittingError(
-                f"start: a model of order {start.order} cannot start one of order {parsed}; give a lower one"
-            )
-        # Inserted first: the lower the cost to beat, the sooner the other starts are abandoned.
-        thetas.insert(0, _pad(start, parsed))
-    return _model(task, parsed, _best(task, parsed, thetas, hops), period)
+    if start is not None and not parsed.covers(start.order):
+        raise FittingError(
+            f"start: a model of order {start.order} cannot start one of order {parsed}; give a lower one"
+        )
+    (thetas,) = _starts(u, y, [parsed])
+    return _estimated(task, parsed, thetas, start, hops=hops, period=period)
 
 
 def estimate_ladder(
@@ -279,15 +271,52 @@ def estimate_ladder(
 
     Arguments and errors as for `estimate`; the keys are the orders as strings, in the given order.
     """
+    u, y = checked_pair(u, y)
+    parsed_orders = [parse_order(order) for order in orders]
+    tasks = [_task(u, y, order, initial) for order in parsed_orders]
+    starts = _starts(u, y, parsed_orders)
     models: dict[str, BoxJenkins] = {}
-    for order in orders:
-        parsed = parse_order(order)
-        below = [model for model in models.values() if parsed.covers(model.order)]
+    for order, task, thetas in zip(parsed_orders, tasks, starts, strict=True):
+        below = [model for model in models.values() if order.covers(model.order)]
         start = min(below, key=lambda model: model.variance, default=None)
-        models[str(parsed)] = estimate(
-            u, y, parsed, initial=initial, start=start, hops=hops, period=period
+        models[str(order)] = _estimated(
+            task, order, thetas, start, hops=hops, period=period
         )
     return models
+
+
+def _starts(
+    u: FloatArray, y: FloatArray, orders: Sequence[Order]
+) -> list[list[FloatArray]]:
+    """The starts that the window gives for every order."""
+    if not orders:
+        return []
+    thetas_of_orders = start_values(u, y, np.array(orders, dtype=np.int64))
+    return [
+        [theta[: order.nc + order.nd + order.nf].copy() for theta in thetas]
+        for order, thetas in zip(orders, thetas_of_orders, strict=True)
+    ]
+
+
+def _estimated(
+    task: Task,
+    order: Order,
+    thetas: list[FloatArray],
+    start: BoxJenkins | None,
+    *,
+    hops: int | None,
+    period: float,
+) -> BoxJenkins:
+    """The model of this order, from `start` and from other starts θ."""
+    if hops is None:
+        shared = min(max(HOPPED // task.u.size, HOPS[0]), HOPS[1])
+        hops = shared // max(order.nc + order.nd + order.nf, 1)
+    if hops < 0:
+        raise FittingError(f"hops: {hops} starts requested; give 0 or more")
+    if start is not None:
+        # First: the lower the cost to beat, the sooner the other starts are abandoned.
+        thetas = [_pad(start, order), *thetas]
+    return _model(task, order, _best(task, order, thetas, hops), period)
 
 
 def _task(u: FloatArray, y: FloatArray, order: Order, initial: str) -> Task:
@@ -329,11 +358,14 @@ def _best(task: Task, order: Order, thetas: list[FloatArray], hops: int) -> Outc
     steps += steps_taken
     polished, _, _ = descend(task, best.theta, Rules(0, ends.fine, exact=True))
     if abs(polished.cost - best.cost) > ends.lost * best.cost:
-        # the normal equations had lost digits
-        polished, converged, steps_taken = descend(
-            task, best.theta, Rules(LAST, ends.fine, exact=True)
-        )
+        # The normal equations had lost digits, perhaps also of what was best: the first start stands for the order
+        # below, whose loss is the largest allowed.
+        exact = Rules(LAST, ends.fine, exact=True)
+        polished, converged, steps_taken = descend(task, best.theta, exact)
         steps += steps_taken
+        below, _, _ = descend(task, thetas[0], Rules(0, ends.fine, exact=True))
+        if below.cost < polished.cost:
+            polished, converged, steps = descend(task, thetas[0], exact)
     return polished, converged, steps
 
 
@@ -351,7 +383,7 @@ def _model(task: Task, order: Order, outcome: Outcome, period: float) -> BoxJenk
         C=place.model.C,
         D=place.model.D,
         F=place.model.F,
-        variance=float(np.mean(place.errors**2)),
+        variance=place.cost / task.y.size,
         initial_state=place.x[order.nb :],
         n_samples=task.y.size,
         period=period,

@@ -50,17 +50,43 @@ REAL = 1e-9
 
 
 @compiled
-def start_values(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
-    """Candidates for θ = (c, d, f), each stable, in a fixed order; shape (3, nc + nd + nf).
+def start_values(u: FloatArray, y: FloatArray, orders: NDArray[np.int64]) -> FloatArray:
+    """Candidates for θ = (c, d, f) of every order, each stable, in a fixed order.
 
     Args:
         u: input, shape (N,).
         y: output, shape (N,).
-        counts: nb, nc, nd, nf, nk.
+        orders: nb, nc, nd, nf, nk of every order, as rows. What whitens the data depends on the delay only, and
+            is computed where it differs from that of the order before.
+
+    Returns:
+        Shape (orders, 3, largest nc + nd + nf); zero behind the coefficients of an order.
     """
+    width = 0
+    for k in range(orders.shape[0]):
+        width = max(width, orders[k, 1] + orders[k, 2] + orders[k, 3])
+    thetas = np.zeros((orders.shape[0], ROUTES, width))
+    delay = -1
+    whitener = np.ones(1)
+    for k in range(orders.shape[0]):
+        counts = orders[k]
+        if counts[4] != delay:
+            delay = counts[4]
+            whitener = long_arx(u, y, delay)
+        fill_starts(u, y, whitener, counts, thetas[k])
+    return thetas
+
+
+@compiled(inlined=True)
+def fill_starts(
+    u: FloatArray,
+    y: FloatArray,
+    whitener: FloatArray,
+    counts: NDArray[np.int64],
+    thetas: FloatArray,
+) -> None:
+    """Write the candidates of one order into rows of zeros."""
     _, nc, nd, nf, _ = counts
-    thetas = np.zeros((ROUTES, nc + nd + nf))
-    whitener = long_arx(u, y, counts)
     skip = whitener.size - 1
     for route in range(2):
         if route == 0:
@@ -76,7 +102,6 @@ def start_values(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> Flo
     A = arx_denominator(u, y, counts)
     copy_into(A[1 : 1 + min(nd, nf)], thetas[2, nc:])
     copy_into(A[1:], thetas[2, nc + nd :])
-    return thetas
 
 
 @compiled(inside=True)
@@ -104,10 +129,9 @@ def monic(coefficients: FloatArray) -> FloatArray:
 
 
 @compiled(inside=True)
-def long_arx(u: FloatArray, y: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
+def long_arx(u: FloatArray, y: FloatArray, delay: int) -> FloatArray:
     """The denominator A of a long ARX model: 1/A is close to the noise filter C/D."""
     length = min(LONG, u.size // 8)
-    delay = counts[4]
     pad = length + delay + SLACK
     spans = np.array(((0, 1, length), (1, delay, length), (0, 0, 1)))
     return monic(regression(padded(pad, y, u), pad + length + delay, spans)[:length])
