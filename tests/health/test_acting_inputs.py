@@ -16,13 +16,13 @@ AFTER = np.array([50.0, 20.0])
 def stepped(samples: int) -> tuple[ActingInputs, list[np.ndarray]]:
     """What acts at samples behind a step of two inputs that had been what they were."""
     inputs = ActingInputs(2, SECOND, SECOND)
-    inputs.take(BEFORE)
-    return inputs, [inputs.take(AFTER) for _ in range(samples)]
+    inputs.take(BEFORE, BEFORE)
+    return inputs, [inputs.take(AFTER, AFTER) for _ in range(samples)]
 
 
 def test_before_a_step_every_way_acts_alike() -> None:
     inputs = ActingInputs(2, SECOND, SECOND)
-    np.testing.assert_array_equal(inputs.take(BEFORE), np.tile(BEFORE, (10, 1)))
+    np.testing.assert_array_equal(inputs.take(BEFORE, BEFORE), np.tile(BEFORE, (10, 1)))
     assert inputs.ways == 10
 
 
@@ -55,10 +55,19 @@ def test_what_crosses_follows_sooner_than_what_is_usual() -> None:
         np.testing.assert_allclose(followed, AFTER + left * (BEFORE - AFTER))
 
 
+def test_nothing_crosses_of_an_input_that_does_not_arrive() -> None:
+    inputs = ActingInputs(2, SECOND, SECOND)
+    inputs.take(BEFORE, np.zeros(2))
+    ways = inputs.take(AFTER, np.zeros(2))
+    np.testing.assert_array_equal(ways[0], AFTER)
+    np.testing.assert_array_equal(inputs.crossing, np.zeros(2))
+    np.testing.assert_array_equal(inputs.usual, np.zeros(2))
+
+
 def test_after_a_gap_nothing_is_known_of_inputs_before_it() -> None:
     inputs, _ = stepped(3)
     inputs.restart()
-    np.testing.assert_array_equal(inputs.take(BEFORE), np.tile(BEFORE, (10, 1)))
+    np.testing.assert_array_equal(inputs.take(BEFORE, BEFORE), np.tile(BEFORE, (10, 1)))
     np.testing.assert_array_equal(inputs.usual, BEFORE)
 
 

@@ -210,7 +210,7 @@ def test_the_size_of_a_change_wanders_about_one_that_lasts() -> None:
     for k in range(300):
         unseen = Reading(
             nothing, nothing > 0.0, nothing, model.noise, model.noise, nothing,
-            healthy.inputs.take(inputs), inputs, model.disturbances,
+            healthy.inputs.take(inputs, inputs), inputs, model.disturbances,
         )  # fmt: skip
         code = model.kernels.code
         step(code, healthy.fixed, members, traces, competition.table, 1, unseen, k)

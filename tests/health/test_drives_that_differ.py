@@ -16,6 +16,7 @@ from twinmatch.health import Fault
 from twinmatch.health.channel_alarms import ChannelAlarm
 from twinmatch.health.channels import ChannelMonitor
 from twinmatch.health.evidence import Competition
+from twinmatch.health.faults import EVERY
 from twinmatch.health.hypotheses import CROSSES, ChangeRow
 from twinmatch.health.suspects import Suspect
 from twinmatch.signals import NANOSECONDS, Sample
@@ -126,6 +127,33 @@ def test_a_drive_that_was_asked_for_nothing_may_have_got_anything_from_the_other
     row = ChangeRow((Fault.DRIVE_WEAK, 0), "share 0", shift=0.3)
     suspect = Suspect(row.cause, 6.0, row, 0.3, 0.05, 20, 0)
     assert competition.most_that_crosses(suspect) == np.inf
+
+
+def test_of_a_drive_that_is_lost_nothing_arrives() -> None:
+    """Its command says nothing of the heat that may cross from it."""
+    competition = Competition(typical(), 1.0)
+    healthy = competition.healthy
+    healthy.members.at[healthy.best, healthy.numbers["share 0"]] = -1.1
+    healthy.members.at[healthy.best, healthy.numbers["share 1"]] = -0.5
+    arriving = healthy.arriving(np.array([100.0, 60.0]))
+    np.testing.assert_allclose(arriving, [0.0, 30.0])
+
+
+@pytest.mark.parametrize(("stands_since", "shows"), [(250, False), (280, True)])
+def test_a_reading_that_has_stood_since_shows_nothing_of_its_drive(
+    stands_since: int, shows: bool
+) -> None:
+    """Drive 1 is said to have changed at 270, and its reading stands; the other reading moves all the time."""
+    competition = Competition(typical(), 1.0)
+    for k in range(300):
+        first = 25.0 + 0.3 * (min(k, stands_since) % 2)
+        outputs = (first, 25.0 + 0.3 * (k % 2))
+        sample = Sample(k, k * NANOSECONDS, (0.0, 0.0), outputs, (30.0, 30.0))
+        competition.push(sample, np.array(outputs), np.ones(2, dtype=bool))
+    for drive, is_shown in ((0, shows), (1, True), (EVERY, True)):
+        row = ChangeRow((Fault.DRIVE_WEAK, drive), "share 0", shift=0.3)
+        suspect = Suspect(row.cause, 6.0, row, 0.3, 0.05, 270, 0)
+        assert competition.stands_since(suspect) is not is_shown
 
 
 def test_what_a_drive_does_is_its_share_and_its_parameters() -> None:

@@ -145,6 +145,15 @@ def test_a_frozen_sensor_is_named_when_it_moves_again_at_the_latest(seed: int) -
     assert "moved then to where the twin expected it" in alarm.reason
 
 
+def test_what_nobody_saw_while_a_sensor_lied_accuses_no_heater() -> None:
+    """Heater 1 gets 100 % for five minutes, as its sensor reads far too little, and cools down beside heater 2: this
+    was said to have half of its effect."""
+    (alarm,) = watched(5, "sensor-drifts.1@1500+300", 1950).alarms
+    assert alarm.fault is Fault.SENSOR_DRIFT
+    assert alarm.last is not None
+    assert 1800 <= alarm.last <= 1800 + SOON
+
+
 def test_a_sensor_that_is_off_after_it_has_stood_for_long_was_not_frozen() -> None:
     """Its loop rests, and its display stands; then its reading moves away from where it is expected."""
     (alarm,) = watched(501, "sensor-offset.2@1345", 1365).alarms

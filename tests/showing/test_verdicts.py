@@ -98,6 +98,18 @@ def test_a_fault_is_reported_by_name_and_a_reason_stays_one_line() -> None:
     assert text.count("\n") == 1
 
 
+def test_of_a_slow_fault_a_line_says_what_was_found_and_not_only_its_name() -> None:
+    doubtful = replace(
+        LED,
+        level=TrustLevel.DOUBTFUL,
+        level_reason="the plant shows sensor-drift",
+        reason="the readings of T1 are off by about +5 °C",
+    )
+    faulty = replace(doubtful, fault="sensor-drift")
+    assert line_text(faulty).endswith(f"sensor-drift: {doubtful.reason}")
+    assert line_text(doubtful).endswith(doubtful.level_reason)
+
+
 def test_a_long_name_does_not_run_into_the_next_column() -> None:
     name = "the paper's candidate for 50 °C"
     assert f"{name}  sink with mass" in line_text(replace(LED, nominal=name))

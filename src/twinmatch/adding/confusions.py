@@ -231,7 +231,7 @@ class FaultTrial:
                 noise,
                 1e-3 * noise,
                 zeros,
-                healthy.inputs.take(u),
+                healthy.inputs.take(u, healthy.arriving(u)),
                 healthy.inputs.crossing,
                 model.disturbances,
             )

@@ -59,20 +59,23 @@ class ActingInputs:
         """Inputs of the newest samples, the newest first, shape (latest + 1, m); None before the first."""
         self._lagging = np.zeros((len(_LAGS), self._count))
         self.usual = np.zeros(self._count)
-        """What each input has been lately, shape (m,)."""
+        """What of each input has arrived lately, shape (m,)."""
         self.crossing = np.zeros(self._count)
         """What of each input arrives at the places of the other drives, shape (m,)."""
 
-    def take(self, u: FloatArray) -> FloatArray:
-        """Take the inputs of a sample, shape (m,); return those that act now in each way, shape (ways, m)."""
+    def take(self, u: FloatArray, arriving: FloatArray) -> FloatArray:
+        """Take the inputs of a sample, and what of them is believed to arrive, each of shape (m,); return those that
+        act now in each way, shape (ways, m)."""
         if self._newest is None:
             self._newest = np.tile(u, (self.latest + 1, 1))
             self._lagging[:] = u
-            self.usual[:] = u
-            self.crossing[:] = u
+            self.usual[:] = arriving
+            self.crossing[:] = arriving
         self._newest[1:] = self._newest[:-1].copy()
         self._newest[0] = u
         self._lagging += (u - self._lagging) * self._approach
-        self.crossing += (u - self.crossing) / max(1.0, CROSSING.lag * self._second)
-        self.usual += (u - self.usual) / max(1.0, CROSSING.usual * self._second)
+        passing = max(1.0, CROSSING.lag * self._second)
+        self.crossing += (arriving - self.crossing) / passing
+        averaged = max(1.0, CROSSING.usual * self._second)
+        self.usual += (arriving - self.usual) / averaged
         return np.vstack([self._newest[self._delays], self._lagging])

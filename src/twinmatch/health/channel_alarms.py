@@ -62,11 +62,11 @@ class ChannelAlarms:
         self.end(alarm.flagged)
         self._alarms.append(alarm)
 
-    def end(self, index: int) -> None:
-        """End the alarm that is on, if there is one, at a sample."""
+    def end(self, index: int, withdrawn: str = "") -> None:
+        """End the alarm that is on, if there is one, at a sample; `withdrawn` says why though its cause stays."""
         on = self.on
         if on is not None:
-            self._alarms[-1] = replace(on, last=index)
+            self._alarms[-1] = replace(on, last=index, withdrawn=withdrawn)
 
     def fault_between(self, first: int, last: int, *, slow: bool) -> Alarm | None:
         """The first alarm that touches these samples; see `touching`."""

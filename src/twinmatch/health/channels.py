@@ -25,7 +25,7 @@ from twinmatch.health.faults import (
 )
 from twinmatch.health.hypotheses import MORE, ChangeRow
 from twinmatch.health.runaway import RUNNING
-from twinmatch.health.sentences import FaultSentences
+from twinmatch.health.sentences import LEARNED, FaultSentences
 from twinmatch.health.standing import (
     OF_A_DRIVE,
     UNDOING,
@@ -114,6 +114,12 @@ def _is_of_whole_plant(suspect: Suspect) -> bool:
     fault, place = suspect.cause
     is_of_all_drives = fault in OF_A_DRIVE and place == EVERY
     return is_of_all_drives or TRAITS[fault].subject is Subject.PARAMETER
+
+
+def _is_impossible(suspect: Suspect) -> bool:
+    """Whether it says that a parameter, such as losses, is nothing or less: then the equations lack what has
+    changed."""
+    return suspect.row.is_relative and suspect.shift <= -1.0
 
 
 class ChannelMonitor:
@@ -475,19 +481,19 @@ class ChannelMonitor:
         """Whether it is a change of the whole plant that inexact equations do not tell from others: where heat is
         stored and lost decides what a supply, losses and a room look like."""
         is_change = not best.row.is_end and _is_of_whole_plant(best)
-        return is_change and self.competition.is_inexact
+        return is_change and (self.competition.is_inexact or _is_impossible(best))
 
     def _wait_for_a_name(self, best: Suspect, suspects: list[Suspect]) -> None:
         """Report a change without a name once none has been found for long enough."""
         is_reported = self._began_known(best) and self._is_material(best)
-        if not is_reported or self._may_cross(best):
+        is_open = self._may_cross(best) or self._may_be_of_states(best)
+        if not is_reported or is_open:
             self._unnamed = 0
             return
         self._unnamed += 1
         if self._is_unnamed_for_good(best):
             self._standing.note_suspect(best.cause[0], best)
-            self._adopt(best)
-            self._said.end(self._index)
+            self._learn(best)
             return
         enough = best.evidence >= 2.0 * CHANGE
         has_waited = self._unnamed > _NAMING.unnamed * self.competition.second
@@ -542,7 +548,7 @@ class ChannelMonitor:
             seems_to_do_more = self._does_more(best) and self._may_cross(best)
             return not seems_to_do_more and not self._creeps_unseen(best)
         if best.evidence > 2.0 * CHANGE:
-            self._adopt(best)
+            self._learn(best)
         return False
 
     def _lacks_proof(self, best: Suspect) -> bool:
@@ -552,6 +558,10 @@ class ChannelMonitor:
         if is_new and fault is Fault.DRIVE_WEAK and self._is_open(best):
             return True
         if fault in OF_A_DRIVE and not self.competition.was_asked(best):
+            return True
+        if is_new and fault in OF_A_DRIVE and self.competition.stands_since(best):
+            return True
+        if self._may_be_of_states(best):
             return True
         if self._gives_back(best) and self._seems_back(best):
             return True
@@ -584,6 +594,13 @@ class ChannelMonitor:
         concerned = place if TRAITS[fault].subject is Subject.OUTPUT else None
         outputs = range(self._spans.shape[0])
         return any(self._lies(output) for output in outputs if output != concerned)
+
+    def _may_be_of_states(self, suspect: Suspect) -> bool:
+        """Whether it began as soon as readings were taken again of a sensor that had lied: then it may be what nobody
+        saw of the states meanwhile."""
+        is_of_plant = not suspect.row.is_end and not is_of_sensor(suspect.row)
+        began_at_once = suspect.born < _NAMING.start * self.competition.second
+        return is_of_plant and began_at_once and self._is_behind_a_lie
 
     @property
     def _is_behind_a_lie(self) -> bool:
@@ -624,14 +641,22 @@ class ChannelMonitor:
         A drive that does more has to do more than what may cross from the others, as far as they have moved.
         """
         onset = self._begin + suspect.born
-        remains = self._standing.may_remain(suspect.row.number, onset)
+        remains = self._may_remain(suspect, onset)
         least = max(suspect.row.least, remains)
         if not self._does_more(suspect):
             return least
         if suspect.cause[1] == EVERY or remains or self._is_behind_a_lie:
             return max(least, MORE)
-        crosses = self.competition.most_that_crosses(suspect)
-        return max(least, min(crosses, MORE))
+        if suspect.evidence - max(self.competition.crossing, 0.0) >= _NAMING.much:
+            return least
+        return max(least, self.competition.most_that_crosses(suspect))
+
+    def _may_remain(self, suspect: Suspect, onset: int) -> float:
+        """How much of a change that was over shortly before may be left, in the unit of a suspect that may be this; a
+        reading that jumps has changed again."""
+        if is_of_sensor(suspect.row) and not suspect.row.slowly:
+            return 0.0
+        return self._standing.may_remain(suspect.row.number, onset)
 
     @staticmethod
     def _does_more(suspect: Suspect) -> bool:
@@ -710,6 +735,12 @@ class ChannelMonitor:
         self._adopt(best)
         if fault is Fault.SENSOR_DRIFT:
             self._unbelieved.read_through(signal, best.born)
+
+    def _learn(self, best: Suspect) -> None:
+        """Take a change without a name for how the plant is, and say so where it has been reported."""
+        self._adopt(best)
+        if self.on is not None and self.on.fault is Fault.DRIFT and self.on.suspects:
+            self._said.end(self._index, LEARNED)
 
     def _adopt(self, best: Suspect) -> None:
         """Take a change for how the plant is from now on."""

@@ -190,7 +190,8 @@ class Competition:
         healthy.open(values, u, row)
         for sensor, value, is_sound in self._by_sensor(values, counts):
             sensor.read(value, counts=is_sound)
-        reading, variance = self._reading(values, is_taken, healthy.inputs.take(u), row)
+        inputs = healthy.inputs.take(u, healthy.arriving(u))
+        reading, variance = self._reading(values, is_taken, inputs, row)
         self._recent.take_arrived(reading.crossing.copy())
         step(
             self._model.kernels.code,
@@ -567,6 +568,21 @@ class Competition:
         is_enough = asked > latest * commands.max(axis=0)
         drive = suspect.cause[1]
         return bool(is_enough.any() if drive == EVERY else is_enough[drive])
+
+    def stands_since(self, suspect: Suspect) -> bool:
+        """Whether the readings that a drive moves most have only been repeated since it is said to have changed; of
+        all drives, whether the readings of all have.
+
+        A frozen sensor shows the same, and no drive that has changed leaves its reading where it was for long.
+        """
+        since = self.count - suspect.born
+        drive = suspect.cause[1]
+        drives = range(self.drives) if drive == EVERY else (drive,)
+        believed = self.healthy.members.at[self.healthy.best]
+        outputs = [
+            int(np.argmax(np.abs(self.healthy.effect_of(j, believed)))) for j in drives
+        ]
+        return all(self.sensors[output].repeats >= since for output in outputs)
 
     def most_that_crosses(self, suspect: Suspect) -> float:
         """The most that may have crossed to the drive of a suspect from the others, as far as they have moved, as

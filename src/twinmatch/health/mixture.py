@@ -235,6 +235,13 @@ class HealthyMixture:
         way = before - self.members.at[level]
         return np.asarray(np.where(self.logged, np.expm1(way), way))
 
+    def arriving(self, u: FloatArray) -> FloatArray:
+        """What is believed to arrive of inputs, both of shape (m,): of a drive that is lost, nothing."""
+        shares = [self.numbers[f"share {j}"] for j in range(self.drives)]
+        arrives = np.maximum(1.0 + self.members.at[self.best, shares], 0.0)
+        rest = self._model.rest
+        return np.asarray(rest + arrives * (u - rest))
+
     def effect_of(self, drive: int, belief: FloatArray) -> FloatArray:
         """What a drive does to the outputs within two minutes at its highest command, beside being at rest, by a
         belief, shape (N,); shape (o,). The other drives rest."""

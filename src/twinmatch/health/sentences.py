@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from twinmatch.dynamics import Drive, Model, Output, Parameter
 from twinmatch.health.faults import EVERY, TRAITS, Evidence, Fault, Subject, signed
@@ -16,6 +16,9 @@ from twinmatch.signals import Sample
 if TYPE_CHECKING:  # a plant with one loop needs nothing of their arithmetic
     from twinmatch.health.hypotheses import PlacedFault
     from twinmatch.health.suspects import Suspect
+
+LEARNED: Final = "what has changed has no name and is taken for how the plant is: the twin adapts to it"
+"""Why a change without a name is reported no longer though it stays."""
 
 
 class FaultSentences:

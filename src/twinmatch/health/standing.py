@@ -131,10 +131,9 @@ class StandingChanges:
             if not any(named is other for other in undone)
         ]
         for named in undone:
-            if not is_of_sensor(named.row):
-                shift = self._competition.change_since(named.row, named.before)
-                size = max(abs(named.shift), abs(shift))
-                self._returned[named.row.number] = _Return(index, size)
+            shift = self._competition.change_since(named.row, named.before)
+            size = max(abs(named.shift), abs(shift))
+            self._returned[named.row.number] = _Return(index, size)
 
     def learned_back(self) -> list[NamedChange]:
         """Changes of drives that the filters have unlearned by themselves: an end that comes slowly, or beside

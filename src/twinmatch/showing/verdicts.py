@@ -63,6 +63,12 @@ def _decided(verdict: Verdict) -> str:
     return "yes" if verdict.decided else "no"
 
 
+def _why(verdict: Verdict) -> str:
+    """Why forecasts are doubtful; of a verdict with a fault, whose name precedes it, its own reason."""
+    is_of_forecasts = verdict.level is TrustLevel.DOUBTFUL and not verdict.fault
+    return statements_of(verdict).trust.reason if is_of_forecasts else verdict.reason
+
+
 class VerdictColumn(NamedTuple):
     """A column of verdicts on the terminal and in lines."""
 
@@ -87,13 +93,7 @@ COLUMNS: Final[dict[str, VerdictColumn]] = {
     "miss u / half band": VerdictColumn(lambda v, _: number(v.miss_u), 6),
     "nominal": VerdictColumn(lambda v, _: v.nominal or number(None), 8),
     "leader": VerdictColumn(lambda v, _: v.leader or number(None)),
-    "why": VerdictColumn(
-        lambda v, _: (
-            statements_of(v).trust.reason
-            if v.level is TrustLevel.DOUBTFUL
-            else v.reason
-        )
-    ),
+    "why": VerdictColumn(lambda verdict, _: _why(verdict)),
 }
 """The columns of verdicts by their headings.
 
