@@ -96,6 +96,8 @@ class HealthyMixture:
         names = _numbers_of(model)
         self.numbers = {name: i for i, name in enumerate(names)}
         """Places in a belief."""
+        self._shares = [self.numbers[f"share {j}"] for j in range(model.rest.size)]
+        """Places of what arrives of each drive."""
         self._passing = [
             place
             for name, place in self.numbers.items()
@@ -237,8 +239,7 @@ class HealthyMixture:
 
     def arriving(self, u: FloatArray) -> FloatArray:
         """What is believed to arrive of inputs, both of shape (m,): of a drive that is lost, nothing."""
-        shares = [self.numbers[f"share {j}"] for j in range(self.drives)]
-        arrives = np.maximum(1.0 + self.members.at[self.best, shares], 0.0)
+        arrives = np.maximum(1.0 + self.members.at[self.best, self._shares], 0.0)
         rest = self._model.rest
         return np.asarray(rest + arrives * (u - rest))
 
