@@ -31,14 +31,7 @@ from twinmatch.fitting.delayed import (
     ridge_solve,
     triangularise,
 )
-from twinmatch.fitting.descent import (
-    Quadratic,
-    Rules,
-    damped_step,
-    descend,
-    diagonalise,
-    walls_before,
-)
+from twinmatch.fitting.descent import Rules, descend
 from twinmatch.fitting.polynomials import (
     LARGEST_ROOT,
     all_pole_into,
@@ -467,66 +460,6 @@ def test_derivatives_are_those_of_differences(case: tuple[Task, FloatArray]) -> 
         )
         size = np.max(np.abs(hessian)) + 1e-3 * place.cost
         np.testing.assert_allclose(hessian[:, i], column, atol=1e-3 * size)
-
-
-@compiled
-def quadratic_beside(
-    gradient: FloatArray, hessian: FloatArray, scales: FloatArray, walls: FloatArray
-) -> Quadratic:
-    """Only kernels call the one inside."""
-    return diagonalise(gradient, hessian, scales, walls)
-
-
-@compiled
-def undamped_step(quadratic: Quadratic) -> tuple[FloatArray, float]:
-    """Only kernels call the one inside."""
-    return damped_step(quadratic, 0.0)
-
-
-@compiled
-def walls_that_stop(
-    normals: FloatArray, scales: FloatArray, step: FloatArray
-) -> FloatArray:
-    """Only kernels call the one inside."""
-    return walls_before(normals, scales, step)
-
-
-@given(st.integers(0, 2**31), st.integers(1, 6), st.integers(0, 2))
-def test_a_step_ends_at_the_minimum_that_lies_along_the_walls(
-    seed: int, size: int, walls: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    count = min(walls, size - 1)
-    rows = rng.standard_normal((size + 2, size))
-    hessian = rows.T @ rows
-    gradient = rng.standard_normal(size)
-    scales = 10.0 ** rng.uniform(-1, 1, size)
-    normals = rng.standard_normal((count, size))
-    outward_step = np.linalg.pinv(normals) @ np.ones(count)
-    found = walls_that_stop(normals, scales, outward_step)
-    assert found.shape == (count, size)
-    quadratic = quadratic_beside(gradient, hessian, scales, found)
-    step, gain = undamped_step(quadratic)
-    # The minimum with Lagrange multipliers; the size of an error is that of the condition number, some 1e6.
-    system = np.block([[hessian, normals.T], [normals, np.zeros((count, count))]])
-    expected = np.linalg.solve(system, np.append(-gradient, np.zeros(count)))[:size]
-    np.testing.assert_allclose(step, expected, atol=1e-7 * np.abs(expected).max())
-    lost = -(2.0 * gradient @ expected + expected @ hessian @ expected)
-    assert gain == pytest.approx(lost, rel=1e-6, abs=1e-12)
-
-
-def test_a_wall_that_a_step_leaves_does_not_stop_it() -> None:
-    normals = np.array([[1.0, 0.0], [0.0, 1.0]])
-    walls = walls_that_stop(normals, np.array([2.0, 3.0]), np.array([-1.0, 1.0]))
-    np.testing.assert_allclose(walls, [[0.0, 1.0]])
-
-
-def test_axes_of_negative_curvature_lead_downhill() -> None:
-    gradient = np.array([1.0, -2.0])
-    hessian = np.diag([-4.0, 2.0])
-    no_walls = np.zeros((0, 2))
-    step, _ = undamped_step(quadratic_beside(gradient, hessian, np.ones(2), no_walls))
-    np.testing.assert_allclose(step, [-0.25, 1.0])
 
 
 def test_a_ladder_begins_like_an_estimate_of_its_lowest_order() -> None:

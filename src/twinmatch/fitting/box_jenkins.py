@@ -40,8 +40,8 @@ Outcome = tuple[Place, bool, int]
 
 ROUTE = 50
 """Largest number of steps from a start; the search then continues from the best."""
-COARSE = 1e-5
-"""`Rules.settled` for the starts: what remains to their minimum is for the final search."""
+COARSE = 1e-6
+"""`Rules.settled` for the starts."""
 
 
 class Ends(NamedTuple):
@@ -358,14 +358,11 @@ def _best(task: Task, order: Order, thetas: list[FloatArray], hops: int) -> Outc
     steps += steps_taken
     polished, _, _ = descend(task, best.theta, Rules(0, ends.fine, exact=True))
     if abs(polished.cost - best.cost) > ends.lost * best.cost:
-        # The normal equations had lost digits, perhaps also of what was best: the first start stands for the order
-        # below, whose loss is the largest allowed.
-        exact = Rules(LAST, ends.fine, exact=True)
-        polished, converged, steps_taken = descend(task, best.theta, exact)
+        # the normal equations had lost digits
+        polished, converged, steps_taken = descend(
+            task, best.theta, Rules(LAST, ends.fine, exact=True)
+        )
         steps += steps_taken
-        below, _, _ = descend(task, thetas[0], Rules(0, ends.fine, exact=True))
-        if below.cost < polished.cost:
-            polished, converged, steps = descend(task, thetas[0], exact)
     return polished, converged, steps
 
 
@@ -383,7 +380,7 @@ def _model(task: Task, order: Order, outcome: Outcome, period: float) -> BoxJenk
         C=place.model.C,
         D=place.model.D,
         F=place.model.F,
-        variance=place.cost / task.y.size,
+        variance=float(np.mean(place.errors**2)),
         initial_state=place.x[order.nb :],
         n_samples=task.y.size,
         period=period,

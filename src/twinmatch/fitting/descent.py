@@ -35,8 +35,7 @@ NOISE_FREE = 1e-26
 """Share of Σ y² below which the errors are rounding."""
 EPSILON = 1e-14
 """Curvature of an axis, relative to the largest, below which it is rounding."""
-TRIAL = 3
-"""Steps after which a search may be abandoned."""
+TRIAL = 4
 STIFF = 1e8
 """Damping at which the search stops."""
 
@@ -58,60 +57,55 @@ class Rules(NamedTuple):
 
 
 class Quadratic(NamedTuple):
-    """A quadratic model of the cost along the eigenvectors of its Hessian."""
+    """A quadratic model of the cost in the eigenvectors of its Hessian."""
 
     gradient: FloatArray
     curvatures: FloatArray
-    axes: FloatArray
-    """The eigenvectors as rows, as changes of θ."""
+    basis: FloatArray
+    """The eigenvectors as columns."""
+
+
+@compiled(inside=True)
+def product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The matrix a b, summed in a fixed order."""
+    out = np.zeros((a.shape[0], b.shape[1]))
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            for j in range(b.shape[1]):
+                out[i, j] += a[i, k] * b[k, j]
+    return out
 
 
 @compiled(inlined=True)
 def diagonalise(
-    gradient: FloatArray, hessian: FloatArray, scales: FloatArray, walls: FloatArray
+    gradient: FloatArray, hessian: FloatArray, basis: FloatArray
 ) -> Quadratic:
-    """The cost around a point, cost + 2 gᵀδ + δᵀHδ, along the eigenvectors of its Hessian.
-
-    Args:
-        gradient: g.
-        hessian: H.
-        scales: units of δ in which the eigenvectors are orthogonal.
-        walls: directions that no axis may have a part of, as orthogonal unit vectors in these units, in rows.
-    """
-    scaled = np.empty(hessian.shape)
-    for i in range(scales.size):
-        for j in range(scales.size):
-            scaled[i, j] = scales[i] * hessian[i, j] * scales[j]
-    for k in range(walls.shape[0]):
-        project_out_of_both_sides(walls[k], scaled)
-    curvatures, vectors = np.linalg.eigh(scaled)
-    axes = np.ascontiguousarray(vectors.T)
-    along = np.empty(scales.size)
-    for i in range(scales.size):
-        axis = axes[i]
-        for k in range(walls.shape[0]):
-            project_out(walls[k], axis)
-        for j in range(scales.size):
-            axis[j] *= scales[j]
-        along[i] = inner(axis, gradient)
-    return Quadratic(along, curvatures, axes)
+    """The cost around a point, cost + 2 gᵀδ + δᵀHδ, in the eigenvectors of the Hessian in `basis`."""
+    across = np.ascontiguousarray(basis.T)
+    curvatures, axes = np.linalg.eigh(product(across, product(hessian, basis)))
+    turned = product(basis, np.ascontiguousarray(axes))
+    along = np.zeros(gradient.size)
+    for i in range(gradient.size):
+        for j in range(gradient.size):
+            along[j] += turned[i, j] * gradient[i]
+    return Quadratic(along, curvatures, turned)
 
 
 @compiled(inside=True)
 def damped_step(quadratic: Quadratic, damping: float) -> tuple[FloatArray, float]:
     """The damped step and its predicted gain; also downhill along axes of negative curvature."""
-    gradient, curvatures, axes = quadratic
+    gradient, curvatures, basis = quadratic
     greatest = 0.0
     gain = 0.0
-    for i in range(gradient.size):
-        greatest = max(greatest, abs(curvatures[i]))
+    for j in range(gradient.size):
+        greatest = max(greatest, abs(curvatures[j]))
     floor = max(EPSILON * greatest, 1e-300)
     step = np.zeros(gradient.size)
-    for i in range(gradient.size):
-        along = -gradient[i] / (max(abs(curvatures[i]), floor) + damping)
-        gain -= along * (2.0 * gradient[i] + curvatures[i] * along)
-        for j in range(gradient.size):
-            step[j] += along * axes[i, j]
+    for j in range(gradient.size):
+        along = -gradient[j] / (max(abs(curvatures[j]), floor) + damping)
+        gain -= along * (2.0 * gradient[j] + curvatures[j] * along)
+        for i in range(gradient.size):
+            step[i] += basis[i, j] * along
     return step, gain
 
 
@@ -124,7 +118,7 @@ def quadratic_at(task: Task, place: Place, newton: bool, exact: bool) -> Quadrat
     linear = size - count
     gradient = np.zeros(count)
     hessian = np.zeros((count, count))
-    scales = np.ones(count)
+    basis = np.zeros((count, count))
     for k in range(count):
         row = R[linear + k, linear:]
         for i in range(k, count):
@@ -133,45 +127,48 @@ def quadratic_at(task: Task, place: Place, newton: bool, exact: bool) -> Quadrat
                 hessian[i, j] += row[i] * row[j]
     norms = column_norms(R)
     for i in range(count):
-        size_of_effect = np.sqrt(hessian[i, i]) + 1e-6 * norms[linear + i]
-        if size_of_effect > 0.0:
-            scales[i] = 1.0 / size_of_effect
+        scale = np.sqrt(hessian[i, i]) + 1e-6 * norms[linear + i]
+        basis[i, i] = 1.0 / scale if scale > 0.0 else 1.0
     if newton:
         hessian = curvature(task, place, R)
-    quadratic = diagonalise(gradient, hessian, scales, np.zeros((0, count)))
     normals = outward(task, place)
-    if normals.shape[0] > 0:
+    for _ in range(2):
+        quadratic = diagonalise(gradient, hessian, basis)
+        if normals.shape[0] == 0:
+            break
         step, _ = damped_step(quadratic, 0.0)
-        walls = walls_before(normals, scales, step)
-        if walls.shape[0] > 0:
-            quadratic = diagonalise(gradient, hessian, scales, walls)
+        if not slide(basis, normals, step):
+            break
     return quadratic
 
 
 @compiled(inside=True)
-def walls_before(
-    normals: FloatArray, scales: FloatArray, step: FloatArray
-) -> FloatArray:
-    """Of boundaries with these normals, in rows, those that a step would cross: their normals in units of `scales`,
-    as orthogonal unit vectors; zero where a normal depends on those before it."""
-    walls = np.empty(normals.shape)
+def slide(basis: FloatArray, normals: FloatArray, step: FloatArray) -> bool:
+    """Restrict `basis` to directions along the boundary if `step` would cross it; return whether it would."""
+    leaving = np.empty(normals.shape)
     count = 0
-    largest = 0.0
-    for i in range(scales.size):
-        largest = max(largest, scales[i])
     for k in range(normals.shape[0]):
-        if inner(normals[k], step) <= 0.0:
-            continue
-        wall = walls[count]
+        if inner(normals[k], step) > 0.0:
+            for j in range(step.size):  # by the axes of the basis
+                total = 0.0
+                for i in range(step.size):
+                    total += normals[k, i] * basis[i, j]
+                leaving[count, j] = total
+            count += 1
+    largest = 0.0
+    for i in range(step.size):
+        for j in range(step.size):
+            largest = max(largest, abs(basis[i, j]))
+    for k in range(count):
+        row = leaving[k]
+        for j in range(k):
+            project_out(leaving[j], row)
+        size = np.sqrt(inner(row, row))
+        for j in range(row.size):
+            row[j] = row[j] / size if size > 1e-10 * largest else 0.0
         for i in range(step.size):
-            wall[i] = normals[k, i] * scales[i]
-        for j in range(count):
-            project_out(walls[j], wall)
-        length = np.sqrt(inner(wall, wall))
-        for i in range(step.size):
-            wall[i] = wall[i] / length if length > 1e-10 * largest else 0.0
-        count += 1
-    return walls[:count]
+            project_out(row, basis[i])
+    return count > 0
 
 
 @compiled(inside=True)
@@ -189,19 +186,6 @@ def project_out(unit: FloatArray, row: FloatArray) -> None:
     part = inner(unit, row)
     for i in range(row.size):
         row[i] -= part * unit[i]
-
-
-@compiled(inside=True)
-def project_out_of_both_sides(unit: FloatArray, matrix: FloatArray) -> None:
-    """Project the unit vector out of the rows and the columns of a symmetric matrix."""
-    across = np.zeros(unit.size)
-    for i in range(unit.size):
-        project_out(unit, matrix[i])
-        for j in range(unit.size):
-            across[j] += unit[i] * matrix[i, j]
-    for i in range(unit.size):
-        for j in range(unit.size):
-            matrix[i, j] -= unit[i] * across[j]
 
 
 @compiled(inlined=True)

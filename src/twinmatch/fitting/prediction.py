@@ -53,12 +53,10 @@ sinusoids: on the rig this lowers the loss by a few parts in a thousand and pred
 worse. And noise that never returns to its mean can describe the levels commanded by the set-point; B/F then
 have a static gain of any size and sign, and the ν-gap compares two different plants."""
 
-BY_B, BY_M, BY_C, BY_D, BY_F, ERROR, OF_INPUT, OF_OUTPUT, OF_PROCESS, AT_ZERO = range(
-    10
-)
-"""The signals of a place: derivatives by the first coefficient of each group, e, u/(CF), y/C, B u/(CF), and the
+BY_B, BY_M, BY_C, BY_D, BY_F, ERROR, OF_INPUT, OF_PROCESS, AT_ZERO = range(9)
+"""The signals of a place: derivatives by the first coefficient of each group, e, u/(CF), B u/(CF), and the
 error for x = 0. The first six are also the groups of columns of the derivatives, in order."""
-ROWS = 10
+ROWS = 9
 UNFILTERED, THROUGH_C, THROUGH_F = range(3)
 """Filters applied to e, backwards in time."""
 
@@ -215,20 +213,18 @@ def project(
     pad = task.pad
     by_b = signals[BY_B, pad:]
     by_m = signals[BY_M, pad:]
-    of_input = signals[OF_INPUT, pad:]
-    of_output = signals[OF_OUTPUT, pad:]
     at_zero = signals[AT_ZERO, pad:]
-    all_pole_into(model.C, task.u, of_input)
-    all_pole_into(model.F, of_input, of_input)
-    fir_into(model.D, of_input, by_b)
+    fir_into(model.D, task.u, by_b)
+    all_pole_into(model.C, by_b, by_b)
+    all_pole_into(model.F, by_b, by_b)
     for t in range(by_b.size):
         by_b[t] = -by_b[t]
         by_m[t] = 0.0
     by_m[0] = 1.0
     all_pole_into(model.C, by_m, by_m)
     all_pole_into(model.F, by_m, by_m)
-    all_pole_into(model.C, task.y, of_output)
-    fir_into(model.D, of_output, at_zero)
+    fir_into(model.D, task.y, at_zero)
+    all_pole_into(model.C, at_zero, at_zero)
     spans = task.spans[: BY_M + 2].copy()
     spans[BY_M + 1, SIGNAL] = AT_ZERO
     spans[BY_M + 1, DELAY] = 0
@@ -280,7 +276,7 @@ SECOND_DERIVATIVES = (
 def linearise(task: Task, place: Place, exact: bool) -> FloatArray:
     """QR triangle of the derivatives of e by (b, m, c, d, f), with the rotated e as last column.
 
-    Fills the signals from `BY_C` to `ERROR` and `OF_PROCESS`; the others are those set by `evaluate`.
+    Fills the signals from `BY_C` to `ERROR`; the others are those set by `evaluate`.
     """
     model = place.model
     e = place.errors
@@ -289,16 +285,18 @@ def linearise(task: Task, place: Place, exact: bool) -> FloatArray:
     by_c = signals[BY_C, pad:]
     by_d = signals[BY_D, pad:]
     by_f = signals[BY_F, pad:]
-    of_output = signals[OF_OUTPUT, pad:]
-    of_process = signals[OF_PROCESS, pad:]
     at_zero = signals[AT_ZERO, pad:]
-    fir_into(model.B, signals[OF_INPUT, pad:], of_process)
+    driven = np.empty(e.size)
+    fir_into(model.B, task.u, driven)
+    fir_into(model.F, task.y, by_d)
     for t in range(e.size):
-        by_c[t] = -e[t]
-        by_d[t] = of_output[t] - of_process[t]  # (F y − B u)/(CF)
         by_f[t] = at_zero[t] - e[t]  # (D y − C e)/C
-    all_pole_into(model.C, by_c, by_c)
+        by_c[t] = -e[t]
+        by_d[t] -= driven[t]
     all_pole_into(model.F, by_f, by_f)
+    all_pole_into(model.C, by_c, by_c)
+    all_pole_into(model.C, by_d, by_d)
+    all_pole_into(model.F, by_d, by_d)
     copy_into(e, signals[ERROR, pad:])
     if exact:
         return triangularise(signals, pad, task.spans)
@@ -316,6 +314,10 @@ def curvature(task: Task, place: Place, R: FloatArray) -> FloatArray:
     signals = place.signals
     pad = task.pad
     spans = task.spans
+    driven = signals[OF_INPUT, pad:]
+    all_pole_into(model.C, task.u, driven)
+    all_pole_into(model.F, driven, driven)
+    fir_into(model.B, driven, signals[OF_PROCESS, pad:])
     errors = np.empty((3, place.errors.size))
     copy_into(place.errors, errors[UNFILTERED])
     backwards_into(model.C, place.errors, errors[THROUGH_C])
