@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import pickle
 import shutil
 import sys
 from pathlib import Path
@@ -345,6 +346,19 @@ def test_a_cache_that_knows_a_class_of_arguments_that_is_gone_is_left(
         file = tmp_path / name
         file.write_text(file.read_text().replace("Point", "Place"))
     assert first == "7.0 compiled"
+    assert run(tmp_path) == "7.0 compiled"
+    assert run(tmp_path) == "7.0 kept"
+
+
+def test_an_index_that_holds_a_class_that_is_gone_counts_as_empty(
+    tmp_path: Path,
+) -> None:
+    """Earlier versions kept such indexes: a reference to a class, as the pickle of any object has it."""
+    write(tmp_path)
+    assert run(tmp_path) == "7.0 compiled"
+    (index,) = (tmp_path / "__pycache__").glob("entry.entry*.nbi")
+    version = pickle.dumps(numba.__version__)
+    index.write_bytes(version + b"cshape\nGone\n.")
     assert run(tmp_path) == "7.0 compiled"
     assert run(tmp_path) == "7.0 kept"
 

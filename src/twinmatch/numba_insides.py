@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import itertools
+import pickle
 from collections.abc import Callable, Iterable, Iterator
 from types import FunctionType
 from typing import Any, Final
@@ -322,11 +323,21 @@ class KernelCache(FunctionCache):
         self._impl_class = functools.partial(_KernelFiles, stamp=stamp)
         super().__init__(function)
         self._fields = fields
+        self._read_index = self._cache_file._load_index
+        self._cache_file._load_index = self._index
 
     def load(self, signature: Any, target_context: Any) -> Any:
         """A kept kernel, without numba's compiler, which it loads first: a fifth of a second; None if there is none."""
         rtsys.initialize(target_context)
         return self._load_overload(signature, target_context)
+
+    def _index(self) -> dict[Any, Any]:
+        """What is kept; nothing if an earlier version's index holds a class of arguments that is gone."""
+        try:
+            index: dict[Any, Any] = self._read_index()
+        except (AttributeError, ImportError, pickle.UnpicklingError):
+            return {}
+        return index
 
     def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
         """Names only: a class of arguments that is gone would keep numba from reading its index.
