@@ -51,13 +51,13 @@ def run(options: argparse.Namespace) -> int:
 def _compile_all() -> int:
     """Compile all that comes with twinmatch; returns the exit code.
 
-    A compiler uses one core, so two processes compile, and what shares parts is compiled by one of them. The engine
-    uses what the other one compiles, and waits for it kernel by kernel.
+    A compiler uses one core, so two processes compile. Each begins with what shares few parts with the other's, and
+    the channels come last in both: the process that is ready compiles the next kernel, and the other one waits for it.
     """
-    others = compile_beside(compare_models, derive_equations)
+    others = compile_beside(compare_models, derive_equations, judge_channels)
     judge_a_loop()
-    judge_channels()
     search_once()
+    judge_channels()
     others.join()
     derive_plants(PLANTS.values())
     return others.exitcode or 0
