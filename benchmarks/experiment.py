@@ -1,6 +1,6 @@
 """What courses of experiments bring on simulated rigs and kits, beside a step and a random binary sequence.
 
-    python -m benchmarks.experiment 20 [--only structure] [--plant peltier]
+    python -m benchmarks.experiment 20 [--only structure]
 
 Every plant is followed by its twins over usual set-points, and then asked what next. The course found, a step
 and a PRBS then run on copies of it from the same moment on.
@@ -238,8 +238,9 @@ def learned(
     """Parameters and their covariance after these readings, by steps of Gauss and Newton."""
     assert twin.covariance is not None
     search = ExperimentSearch([twin], asked.found.goal, asked.found.terms)
-    seen = search.run(Contender(twin), outputs, inputs)
-    root = Contender(twin).root
+    [leader] = search.family
+    seen = search.run(leader, outputs, inputs)
+    root = leader.root
     n = len(root)
     start = np.array([twin.parameters[name] for name in twin.free])
     moved = np.zeros(seen.slopes.shape[2])
@@ -253,7 +254,7 @@ def learned(
                 ),
             )
         )
-        search.starts[id(at.twin)] = search.starts[id(twin)]
+        search.starts[at] = search.starts[leader]
         seen = search.run(at, outputs, inputs)
         whole = np.eye(moved.size) + np.einsum("koi,koj->ij", seen.slopes, seen.slopes)
         miss = (outputs - seen.outputs) / seen.noise

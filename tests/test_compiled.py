@@ -353,7 +353,7 @@ def test_a_cache_that_knows_a_class_of_arguments_that_is_gone_is_left(
 def test_an_index_that_holds_a_class_that_is_gone_counts_as_empty(
     tmp_path: Path,
 ) -> None:
-    """Earlier versions kept such indexes: a reference to a class, as the pickle of any object has it."""
+    """The index is written by hand: it has a reference to a class, as the pickle of any object has it."""
     write(tmp_path)
     assert run(tmp_path) == "7.0 compiled"
     (index,) = (tmp_path / "__pycache__").glob("entry.entry*.nbi")

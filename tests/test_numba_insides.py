@@ -37,7 +37,6 @@ INSIDES = {
     "caching:FunctionCache.load_overload": ("self", "sig", "target_context"),
     "codegen:JITCPUCodegen._library_class": None,
     "caching:IndexDataCacheFile._load_index": ("self",),
-    "codegen:JITCPUCodegen.magic_tuple": ("self",),
     "codegen:JITCPUCodegen.set_env": ("self", "env_name", "env"),
     "codegen:JITCodeLibrary._ensure_finalized": ("self",),
     "codegen:JITCodeLibrary._finalize_dynamic_globals": ("self",),

@@ -152,6 +152,7 @@ class _TickGrid:
 
     def begin(self, now: int) -> None:
         """Have the grid start with the tick at this time, ns, as tick 0."""
+        self.number = 0
         self._origin = now
 
     def is_set_back(self, now: int) -> bool:
@@ -159,10 +160,13 @@ class _TickGrid:
         return self.number is not None and now < self._newest
 
     def place(self, now: int) -> int | None:
-        """The number of the tick at this time, ns; None if it does not count. Ask once at every tick."""
+        """Take the tick at this time, ns; returns its number, or None if it does not count. Before the grid has begun
+        every tick would be tick 0."""
         number = self._place(now)
         if number is not None:
             self._newest = now
+            if self.number is not None:
+                self.number = number
         return number
 
     def _place(self, now: int) -> int | None:
@@ -365,6 +369,7 @@ class Loop:
         if self._grid.is_set_back(now):
             # stamped by the old time, they would seem fresh until the clock caught up
             self._readings = None
+        number_before = self._grid.number
         number = self._grid.place(now)
         if number is None:
             return None
@@ -373,13 +378,12 @@ class Loop:
         readings = self._readings
         trouble = self._doubt(now, readings, references)
         if trouble or readings is None or references is None:
-            self._switch_off(trouble, number)
+            self._switch_off(trouble)
             return None
-        if self._grid.number is None:
+        if number_before is None:
             self._grid.begin(now)
-        elif number != self._grid.number + 1:
-            self._continue_after_gap(number - self._grid.number - 1)
-        self._grid.number = number
+        elif number != number_before + 1:
+            self._continue_after_gap(number - number_before - 1)
         self.trouble = ""
         if self.trying and (self.held or min(self.limits) < math.inf):
             self.take_back("the guard holds or limits the drive")
@@ -393,7 +397,7 @@ class Loop:
             readings.disturbances,
         )
 
-    def _switch_off(self, trouble: str, number: int) -> None:
+    def _switch_off(self, trouble: str) -> None:
         """Switch the output off at a tick that makes no sample."""
         self.trouble = trouble
         self.inputs = [0.0] * len(self.pids)
@@ -402,7 +406,6 @@ class Loop:
             self.take_back(trouble)
         if self._grid.number is not None:
             self.idle += 1
-            self._grid.number = number
 
     def _continue_after_gap(self, missed: int) -> None:
         """Restart the controllers behind missed ticks, of which a trial has no readings."""

@@ -332,7 +332,7 @@ class KernelCache(FunctionCache):
         return self._load_overload(signature, target_context)
 
     def _index(self) -> dict[Any, Any]:
-        """What is kept; nothing if an earlier version's index holds a class of arguments that is gone."""
+        """What is kept; nothing if the index holds a class of arguments that is gone."""
         try:
             index: dict[Any, Any] = self._read_index()
         except (AttributeError, ImportError, pickle.UnpicklingError):
@@ -340,8 +340,7 @@ class KernelCache(FunctionCache):
         return index
 
     def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
-        """Names only: a class of arguments that is gone would keep numba from reading its index.
-
-        What the kernel is made of is in the stamp.
-        """
-        return str(signature), codegen.magic_tuple(), tuple(self._fields(signature))
+        return (
+            *super()._index_key(signature, codegen),
+            tuple(self._fields(signature)),
+        )

@@ -35,7 +35,7 @@ from twinmatch.importing.tables import TEXTS
 from twinmatch.offline.judging import judge, terms_from_files
 from twinmatch.offline.separation import inseparable_in
 from twinmatch.sampling.sources import SignalMap
-from twinmatch.sampling.turns import shown_turn
+from twinmatch.sampling.turns import angle_words, shown_turn
 from twinmatch.sessions import Session
 from twinmatch.sessions.files import ProgressCallback
 from twinmatch.settings import Rule
@@ -245,7 +245,7 @@ def findings_of_angles(session: Session, plant: type[Plant]) -> Iterator[Finding
         turn = 0.0 if output.turn else shown_turn(column, output.unit, output.name)
         if turn:
             yield Finding(
-                f"{output.name} begins again after {turn:.6g}, as an angle does, which no equations can follow",
+                f"{angle_words(output.name, turn)}, which no equations can follow",
                 f"write turn={turn:.6g} in its Output: its turns are counted then",
             )
 

@@ -34,7 +34,7 @@ from twinmatch.importing.resampling import (
 )
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.sampling.sources import SignalMap, SignalSource
-from twinmatch.sampling.turns import counted_on, shown_turn
+from twinmatch.sampling.turns import angle_words, counted_on, shown_turn
 from twinmatch.sessions.files import RecordingError
 from twinmatch.signals import FloatArray
 from twinmatch.units import is_unit
@@ -306,7 +306,7 @@ class TableSignals:
             if not self._sources[signal].turn:
                 where = "Output" if is_signal(signal, "output") else "source in the map"
                 notes.append(
-                    f"{signal} begins again after {turn:.6g}, as an angle does: turn={turn:.6g} is written into its "
+                    f"{angle_words(signal, turn)}: turn={turn:.6g} is written into its "
                     f"{where}, and its turns are counted."
                 )
         return notes

@@ -139,10 +139,10 @@ class ExperimentSearch:
             law = taken_by(plant, law if isinstance(law, TwoLevel) else as_linear(law))
         self.law = law
         self.starts = {
-            id(contender): _start(contender, terms, law)
+            contender: _start(contender, terms, law)
             for contender in (*goal.contenders, *self.others, *self.family)
         }
-        leader_start = self.starts[id(self.family[0])]
+        leader_start = self.starts[self.family[0]]
         self.base = terms.before if law is not None else leader_start.inputs
         self.marks = np.unique(
             np.linspace(1, terms.size, EFFORT.marks).round().astype(int)
@@ -210,7 +210,7 @@ class ExperimentSearch:
         twin = contender.twin
         model = twin.parameters.model
         share = contender.share
-        states = self.starts[id(contender)].states
+        states = self.starts[contender].states
         steady = np.tile(model.disturbance_row(twin.disturbances), (len(rows), 1))
         sent = self._commands(contender, rows, steady) if commands is None else commands
         free = twin.free if twin.covariance is not None else ()
@@ -246,7 +246,7 @@ class ExperimentSearch:
         self, contender: Contender, rows: FloatArray, steady: FloatArray
     ) -> FloatArray:
         """The commands over a course, shape (N, m): those of the law; without one the course itself."""
-        start = self.starts[id(contender)]
+        start = self.starts[contender]
         if start.law is None:
             return rows
         parameters = contender.twin.parameters

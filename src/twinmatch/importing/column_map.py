@@ -21,7 +21,7 @@ from twinmatch.importing.stacked import SeriesTable
 from twinmatch.importing.tables import Table, split_title
 from twinmatch.importing.times import Times, read_times, unit_in
 from twinmatch.sampling.sources import SignalMap, SignalSource, source_of
-from twinmatch.sampling.turns import shown_turn
+from twinmatch.sampling.turns import angle_words, shown_turn
 from twinmatch.sessions.documents import read_yaml
 from twinmatch.sessions.files import RecordingError
 from twinmatch.settings import Rule
@@ -194,7 +194,7 @@ def notes_on_angles(columns: Sequence[Column], table: Table) -> list[str]:
         values = _in_order(table, column.title)
         if turn := shown_turn(values, column.unit, column.title):
             notes.append(
-                f"{column.title} begins again after {turn:.6g}, as an angle does: turn={turn:.6g} in the plant "
+                f"{angle_words(column.title, turn)}: turn={turn:.6g} in the plant "
                 "file's Output, where new-plant writes it, or behind the column in a map, has its turns counted."
             )
     return notes

@@ -6,6 +6,7 @@ import math
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ from twinmatch.sampling.names import LoopNames, accepted_names, by_signal, turns
 from twinmatch.sampling.sources import INPUT, OUTPUT, TIME, SignalMap, SignalSource
 from twinmatch.sampling.turns import (
     all_beside,
+    angle_words,
     counted_on,
     shown_turn,
     uncertain_gaps,
@@ -165,7 +167,7 @@ def map_samples(
         table, plant, replace(signal_map, sources=sources)
     )
     times = times_of(table, sources.get(TIME), signal_map.period)
-    turns = _turns_of(table, plant, sources)
+    turns = turns_in(table.path, plant, sources)
     kinds = {signal: properties.kind for signal, properties in signals.items()}
     table, times = in_rows(table, sources, without_means_of(kinds, turns), times)
     possible_values, impossible_notes = _possible_values(table, sources, signals)
@@ -209,18 +211,18 @@ def map_samples(
     )
 
 
-def _turns_of(
-    table: Table, plant: type[Plant], sources: Mapping[str, SignalSource]
+def turns_in(
+    path: Path, plant: type[Plant], sources: Mapping[str, SignalSource]
 ) -> Mapping[str, float]:
-    """The turn of each signal that begins again after one.
+    """The turn of each signal of a recording that begins again after one.
 
     Raises:
-        RecordingError: such a signal is the mean of several columns.
+        RecordingError: such a signal is the mean of several places.
     """
     try:
         return turns_of(plant, sources)
     except SamplingError as error:
-        raise RecordingError(f"{table.path}: {error}") from None
+        raise RecordingError(f"{path}: {error}") from None
 
 
 def _possible_values(
@@ -299,7 +301,7 @@ def note_on_turn(signal: str, turn: float, *, is_disturbance: bool) -> str:
     if not is_disturbance:
         where = f"turn={turn:.6g} in the plant file's Output, or {where}"
     return (
-        f"{signal} begins again after {turn:.6g}, as an angle does, which no plant can follow: write {where}, "
+        f"{angle_words(signal, turn)}, which no plant can follow: write {where}, "
         "and its turns are counted."
     )
 

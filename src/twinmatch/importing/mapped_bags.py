@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from twinmatch.dynamics import Plant
 from twinmatch.importing.bag_clocks import Times, times_by_one_clock
 from twinmatch.importing.bags import Bag, Series, open_bag
-from twinmatch.importing.mapped import Mapped, map_samples
+from twinmatch.importing.mapped import Mapped, map_samples, turns_in
 from twinmatch.importing.resampling import Gaps, usual_step
 from twinmatch.importing.stretches import APART, PlacedTimes, Stretches
 from twinmatch.importing.tables import Table
 from twinmatch.importing.timed_signals import Hole, Loss, TimedSignal, rising_signal
 from twinmatch.sampling.channels import Channel, SamplingError
-from twinmatch.sampling.names import LoopNames, by_signal, signals_of, turns_of
+from twinmatch.sampling.names import LoopNames, by_signal, signals_of
 from twinmatch.sampling.sources import (
     OUTPUT,
     TIME,
@@ -200,12 +200,8 @@ def _with_turns_counted(
     Raises:
         RecordingError: such a signal is the mean of several channels.
     """
-    try:
-        turns = turns_of(plant, sources)
-    except SamplingError as error:
-        raise RecordingError(f"{path}: {error}") from None
     counted = dict(signals)
-    for name, turn in turns.items():
+    for name, turn in turns_in(path, plant, sources).items():
         if name not in LoopNames.of(plant).references:
             signal = signals[name]
             counted[name] = TimedSignal(signal.times, counted_on(signal.values, turn))

@@ -114,6 +114,11 @@ def shown_turn(readings: FloatArray, unit: str, name: str) -> float:
     return next((turn for turn in candidates if _begins_again(finite, turn)), 0.0)
 
 
+def angle_words(name: str, turn: float) -> str:
+    """That a signal shows a turn, as a main clause."""
+    return f"{name} begins again after {turn:.6g}, as an angle does"
+
+
 def _begins_again(readings: FloatArray, turn: float) -> bool:
     """Whether readings, shape (N,), jump by about a turn and else move little, within one turn."""
     if readings.size < 2:
