@@ -127,6 +127,36 @@ def test_a_signal_that_is_sent_to_the_process_reaches_the_child_once(
     assert process.json[-1] == [[[signal.SIGINT, 1], [signal.SIGUSR1, 1]]]
 
 
+def test_a_signal_that_reaches_what_prepares_as_it_ends_is_for_the_child(
+    tmp_path: Path,
+) -> None:
+    """Blocked, it comes to the process that prepares and does nothing there, as it does in one that ends."""
+    process = started(
+        tmp_path,
+        """
+        def prepare():
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR1})
+            say("preparing")
+            while signal.SIGUSR1 not in signal.sigpending():
+                time.sleep(0.01)
+        continue_in_child(prepare)
+        signal.signal(signal.SIGUSR1, lambda *_: say("received"))
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGUSR1})
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(3))
+        say("ready", os.getpid())
+        while True:
+            time.sleep(1000)
+        """,
+    )
+    wait_for(lambda: ["preparing"] in process.json, lambda: process.text)
+    os.kill(process.id, signal.SIGUSR1)
+    is_ready(process)
+    wait_for(lambda: ["received"] in process.json, lambda: process.text)
+    os.kill(process.id, signal.SIGTERM)
+    assert process.wait() == 3, process.text
+    assert process.json.count(["received"]) == 1
+
+
 def test_ctrl_c_at_a_terminal_reaches_the_child_once(tmp_path: Path) -> None:
     script = tmp_path / "program.py"
     take_terminal = "import fcntl, termios\nfcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"

@@ -65,8 +65,11 @@ def continue_in_child(prepare: Callable[[], None]) -> None:
 
 
 def _wait_for_both(preparing: int, reading: int) -> NoReturn:
-    """Wait for the process that prepares, then for its child, and end as they do."""
-    status = _status_of(preparing)
+    """Wait for the process that prepares, then for its child, and end as they do.
+
+    What did not end the process that prepares reached it too late, as it was ending already: that is for its child.
+    """
+    status, passed_on = _status_of(preparing)
     if status:
         _end_with(status)
     child = int(os.read(reading, _LONGEST) or 0)
@@ -76,21 +79,31 @@ def _wait_for_both(preparing: int, reading: int) -> NoReturn:
         raise PermissionError(
             errno.EPERM, "the kernel gives this process no children of others"
         )
-    _end_with(_status_of(child))
+    for number in passed_on:
+        _pass_on(child, number)
+    status, _ = _status_of(child)
+    _end_with(status)
 
 
-def _status_of(child: int) -> int:
-    """How a child has ended, once it has; signals are passed on to it until then."""
+def _status_of(child: int) -> tuple[int, list[int]]:
+    """How a child has ended, once it has, and the signals that were passed on to it until then."""
+    passed_on: list[int] = []
     while True:
         ended, status = os.waitpid(child, os.WNOHANG)
         if ended:
-            return status
+            return status, passed_on
         received = signal.sigwaitinfo({signal.SIGCHLD, *_PASSED_ON})
         # what comes from the terminal, and not from a process, comes to the child as well
         is_sent = received.si_code <= 0
         if received.si_signo != signal.SIGCHLD and is_sent:
-            with suppress(ProcessLookupError):
-                os.kill(child, received.si_signo)
+            passed_on.append(received.si_signo)
+            _pass_on(child, received.si_signo)
+
+
+def _pass_on(child: int, number: int) -> None:
+    """Send a signal to a child; one that has ended needs none."""
+    with suppress(ProcessLookupError):
+        os.kill(child, number)
 
 
 def _end_with(status: int) -> NoReturn:
